@@ -9,7 +9,7 @@ use periscope::campaign::Campaign;
 use periscope::exchange::{self, ply};
 use periscope::formats::npy;
 use periscope::store::Shelf;
-use periscope::tables::{Image, Patch, Row, SurfacePoint, VolumeRow};
+use periscope::tables::{Echo, Image, Patch, Row, SurfacePoint, VolumeRow};
 
 use super::output::say;
 use super::whole_file;
@@ -23,7 +23,8 @@ const ALL: &str = "all_patches";
 pub struct Export {
     /// Result folder
     results: PathBuf,
-    /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface), .hdf5 for the
+    /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface; where there are
+    /// no patches but echoes of a lidar, or with --echoes: these), .hdf5 for the
     /// profiles as a capture of y-tal (--volume: the volume of an image), .npy for the volume of an image
     /// (--surface-points: the points of a surface)
     file: PathBuf,
@@ -33,6 +34,9 @@ pub struct Export {
     /// .ply, .npy: points of a surface from this table, in place of patches and volume [default: `surface`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "surface")]
     surface_points: Option<String>,
+    /// .ply: echoes of a lidar from this table, in place of patches [default: `echoes`]
+    #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "echoes")]
+    echoes: Option<String>,
     /// .hdf5: the campaign that was run, which says where laser and sensor are
     #[arg(long, value_name = "DIR")]
     campaign: Option<PathBuf>,
@@ -58,6 +62,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
     let shelf = Shelf::look(&args.results)?;
     let found = shelf.table_of(ALL)?.map_or("patches", |_| ALL);
     let patches_view = args.patches.as_deref().unwrap_or(found);
+    let echoes_view = echoes_view(&shelf, args)?;
     let ending = args.file.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     match ending.as_deref() {
         Some("ply") if args.surface_points.is_some() => {
@@ -72,6 +77,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
             say!("{}: {} points, {} numbers each", args.file.display(), shape[0], shape[1])?;
         }
+        Some("ply") if echoes_view.is_some() => write_echoes(&shelf, args, &echoes_view.unwrap_or_default())?,
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
@@ -118,6 +124,22 @@ pub fn export(args: &Export) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The table of echoes: the one that is named, or that of a lidar's results, which have no patches.
+fn echoes_view(shelf: &Shelf, args: &Export) -> Result<Option<String>> {
+    let is_of_lidar = args.patches.is_none() && shelf.table_of("patches")?.is_none();
+    Ok(match &args.echoes {
+        Some(view) => Some(view.clone()),
+        None if is_of_lidar => shelf.table_of("echoes")?.map(|_| "echoes".to_owned()),
+        None => None,
+    })
+}
+
+fn write_echoes(shelf: &Shelf, args: &Export, view: &str) -> Result<()> {
+    let echoes: Vec<Echo> = rows(shelf, view)?;
+    whole_file::write(&args.file, |out| ply::write_echoes(out, &echoes))?;
+    say!("{}: {} echoes", args.file.display(), echoes.len())
 }
 
 /// Points of the surface: at least one.

@@ -7,10 +7,13 @@
 //! Points of a surface: place, normal (the direction to the wall where it is no normal), a colour by the standard
 //! deviation (blue the surest, red from twice the median on), lit and seen patch of the wall, kind (0 smooth, 1 edge,
 //! 2 corner, 3 unknown), then standard deviation and covariance.
+//!
+//! Echoes of a lidar: place in the frame of the file, standard deviation along the beam, height, width and its standard
+//! deviation, number of the echo and of the echoes of its pulse, GPS time.
 
 use std::io::{self, Write};
 
-use crate::tables::{Patch, SurfacePoint};
+use crate::tables::{Echo, Patch, SurfacePoint};
 
 /// Kinds of patches by their numbers, with the colour of each.
 const KINDS: [(&str, [u8; 3]); 3] =
@@ -83,6 +86,27 @@ pub fn write_surface(out: &mut impl Write, points: &[SurfacePoint]) -> io::Resul
             write!(out, " {value:e}")?;
         }
         writeln!(out)?;
+    }
+    Ok(())
+}
+
+/// Writes echoes of a lidar.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write_echoes(out: &mut impl Write, echoes: &[Echo]) -> io::Result<()> {
+    writeln!(out, "ply\nformat ascii 1.0\ncomment echoes of a lidar; sd_m is along the beam")?;
+    writeln!(out, "element vertex {}", echoes.len())?;
+    let numbers = ["x", "y", "z", "sd_m", "amplitude", "width_ps", "width_sd_ps"];
+    numbers.iter().try_for_each(|name| writeln!(out, "property double {name}"))?;
+    writeln!(out, "property int echo\nproperty int echoes\nproperty double gps_time_s\nend_header")?;
+    for echo in echoes {
+        let Echo { x_m, y_m, z_m, range_sd_m, height, width_ps, width_sd_ps, echo: number, echoes, gps_time_s, .. } =
+            echo;
+        writeln!(
+            out,
+            "{x_m} {y_m} {z_m} {range_sd_m:e} {height} {width_ps} {width_sd_ps} {number} {echoes} {gps_time_s}"
+        )?;
     }
     Ok(())
 }

@@ -31,6 +31,7 @@ pub mod stages {
         average = "stages/average.md";
         calibrate = "stages/calibrate.md";
         characterize = "stages/characterize.md";
+        decompose = "stages/decompose.md";
         deconvolve = "stages/deconvolve.md";
         detect = "stages/detect.md";
         embed = "stages/embed.md";
@@ -38,6 +39,7 @@ pub mod stages {
         image = "stages/image.md";
         import = "stages/import.md";
         ingest = "stages/ingest.md";
+        ingest_pulses = "stages/ingest_pulses.md";
         label = "stages/label.md";
         locate = "stages/locate.md";
         measure = "stages/measure.md";

@@ -45,6 +45,7 @@
 //! | [`dark`] | where a record has no light |
 //! | [`shot_spread`] | outlying shots |
 //! | [`oversample`], [`response`], [`averaged_response`], [`echo`] | the impulse response of a sensor |
+//! | [`echoes`] | single shots of a lidar: echoes of free width of the outgoing pulse |
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
 //! | [`wiener`] | deconvolution in the frequency domain |
 //! | [`onset`], [`pulse_fit`], [`between`] | classical timing; one pulse; whether a third stands between two |
@@ -74,6 +75,7 @@ pub mod codes;
 pub mod dark;
 pub mod drift;
 pub mod echo;
+pub mod echoes;
 pub mod edge;
 mod failure;
 pub mod fft;

@@ -16,6 +16,7 @@ mod content;
 mod files;
 mod part;
 mod piece;
+pub mod pulses;
 mod raw_file;
 mod record;
 mod survey;

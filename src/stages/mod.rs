@@ -5,6 +5,7 @@ pub mod average;
 pub mod calibrate;
 pub mod characterize;
 pub mod conclude;
+pub mod decompose;
 pub mod deconvolve;
 pub mod detect;
 pub mod embed;
@@ -98,8 +99,9 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 22] = [
+pub const KINDS: [&str; 24] = [
     "ingest",
+    "ingest_pulses",
     "anchor",
     "calibrate",
     "average",
@@ -108,6 +110,7 @@ pub const KINDS: [&str; 22] = [
     "characterize",
     "deconvolve",
     "detect",
+    "decompose",
     "label",
     "range",
     "embed",
@@ -140,6 +143,7 @@ fn operator<S: Fold + DeserializeOwned>(params: toml::Table) -> Result<Node, Str
 pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
     match kind {
         "ingest" => source::<ingest::Ingest>(params),
+        "ingest_pulses" => source::<ingest::pulses::IngestPulses>(params),
         "anchor" => source::<anchor::AnchorPatches>(params),
         "import" => source::<import::Import>(params),
         "calibrate" => operator::<calibrate::Calibrate>(params),
@@ -149,6 +153,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "characterize" => operator::<characterize::Characterize>(params),
         "deconvolve" => operator::<deconvolve::Deconvolve>(params),
         "detect" => operator::<detect::Detect>(params),
+        "decompose" => operator::<decompose::Decompose>(params),
         "label" => operator::<label::LabelOnsets>(params),
         "range" => operator::<range::Range>(params),
         "embed" => operator::<embed::Embed>(params),

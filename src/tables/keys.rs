@@ -5,6 +5,8 @@
 pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
     Some(match table {
         "traces" => &["campaign", "sensor", "lit", "seen", "role", "run", "range", "shot", "is_reference"],
+        "pulses" => &["campaign", "sensor", "run", "pulse", "channel"],
+        "echoes" => &["campaign", "sensor", "run", "pulse", "channel", "echo"],
         "subtotals" => &["campaign", "sensor", "lit", "seen", "role", "run", "range", "is_cut", "phase"],
         "calibration" | "session" | "delays" => &["campaign", "sensor", "range"],
         "profiles" | "measurements" => &["campaign", "sensor", "lit", "seen", "role", "run"],

@@ -6,6 +6,7 @@ pub mod checks;
 pub mod contract;
 pub mod decisions;
 pub mod distances;
+pub mod echoes;
 pub mod gaps;
 pub mod hypotheses;
 pub mod keys;
@@ -15,6 +16,7 @@ pub mod onsets;
 pub mod patches;
 pub mod planes;
 pub mod profiles;
+pub mod pulses;
 pub mod rejects;
 pub mod row;
 pub mod scenes;
@@ -35,6 +37,7 @@ pub use cell::{Codes, Name, Samples};
 pub use checks::Check;
 pub use decisions::Decision;
 pub use distances::{Covariance, Distance};
+pub use echoes::Echo;
 pub use gaps::Gap;
 pub use hypotheses::Hypothesis;
 pub use keys::key_of;
@@ -44,6 +47,7 @@ pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
 pub use planes::{PatchFootprint, Plane};
 pub use profiles::Profile;
+pub use pulses::Pulse;
 pub use rejects::Reject;
 pub use row::{Row, SchemaError};
 pub use scenes::SceneOdds;
@@ -68,6 +72,8 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
     }
     vec![
         of::<Trace>(),
+        of::<Pulse>(),
+        of::<Echo>(),
         of::<Subtotal>(),
         of::<Calibration>(),
         of::<Profile>(),

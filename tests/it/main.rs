@@ -31,6 +31,7 @@ mod interop;
 mod interrupt;
 mod lab;
 mod laws;
+mod lidar;
 mod lifecycle;
 mod lineage;
 mod lineage_random;

@@ -31,6 +31,7 @@ built_in!(
     "characterize",
     "first-returns",
     "image",
+    "lidar",
     "locate",
     "mirror",
     "tdr",
@@ -40,17 +41,26 @@ built_in!(
 pub const DEFAULT: &str = "scene";
 
 /// Pipelines for what campaigns declare: name, what stands in campaign.toml, and whether it does.
-const DECLARED: [(&str, &str, fn(&[Campaign]) -> bool); 3] = [
+const DECLARED: [(&str, &str, fn(&[Campaign]) -> bool); 4] = [
     ("mirror", "patches with role = \"mirror\"", |campaigns| {
         campaigns.iter().any(|campaign| campaign.patches.values().any(|patch| patch.role == PatchRole::Mirror))
     }),
     ("barcode", "hidden patches with `through`", |campaigns| {
         campaigns.iter().any(|campaign| campaign.patches.values().any(|patch| patch.through.is_some()))
     }),
+    ("lidar", "files of a lidar: .pls or .las in every [[captures]] rule", |campaigns| {
+        !campaigns.is_empty() && campaigns.iter().all(is_flight)
+    }),
     ("locate", "a relay wall: sensors that count photons, and a `position_m` for each visible patch", |campaigns| {
         !campaigns.is_empty() && campaigns.iter().all(is_relay_wall)
     }),
 ];
+
+/// Whether all files of a campaign are of a lidar.
+fn is_flight(campaign: &Campaign) -> bool {
+    let is_lidar = |files: &String| [".pls", ".las"].iter().any(|ending| files.to_lowercase().ends_with(ending));
+    !campaign.captures.is_empty() && campaign.captures.iter().all(|rule| rule.files.as_ref().is_some_and(is_lidar))
+}
 
 /// Points of the wall at the least for which histograms are fitted together. With fewer, arrivals have few enough
 /// assignments to be labelled one by one.
@@ -151,6 +161,11 @@ mod tests {
         let (pipeline, reason) = BuiltIn::for_campaigns(&[plain, mirror]);
         assert!(pipeline.name == "mirror" && reason.is_some());
         assert_eq!(BuiltIn::for_campaigns(&[strips]).0.name, "barcode");
+        let flight = with_sensor("", "");
+        let mut lidar = flight.clone();
+        lidar.captures[0].files = Some("strip{lit}.LAS".to_owned());
+        assert_eq!(BuiltIn::for_campaigns(&[lidar.clone()]).0.name, "lidar");
+        assert_eq!(BuiltIn::for_campaigns(&[lidar, flight]).0.name, DEFAULT, "one of two campaigns is of no lidar");
         let wall = |points: usize, more: &str| {
             let point = |n: usize| format!("[patches.{n}]\nposition_m = [{n}.0, 0.0, 0.0]\n");
             (1..=points).map(point).collect::<String>() + more

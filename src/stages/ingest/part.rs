@@ -214,6 +214,21 @@ impl Reader<'_> {
         Ok(())
     }
 
+    /// Notes the digests of files that were read to their ends.
+    pub fn note(&mut self, campaign: usize, digests: Vec<Hashed>) -> Result<(), StageError> {
+        for Hashed { file, digest, metadata } in digests {
+            // What changed while it was read is not what was hashed, and goes down in no notes.
+            let now = disk::metadata(self.surveyed.campaigns[campaign].path_of(&file));
+            if !now.is_ok_and(|now| Stamp::of(&now) == Stamp::of(&metadata)) {
+                continue;
+            }
+            self.surveyed.hold(campaign, &file, digest)?;
+            self.surveyed.record(campaign, &file, digest, &metadata);
+            self.digests.insert((campaign, file), digest.into());
+        }
+        Ok(())
+    }
+
     /// Notes what came of a job; numbers its exposures where the files do not. A file with another content on record
     /// stops the run before anything that was made of it counts.
     fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
@@ -224,16 +239,7 @@ impl Reader<'_> {
                 self.rejections.push(remark);
             }
         }
-        for Hashed { file, digest, metadata } in done.digests {
-            // What changed while it was read is not what was hashed, and goes down in no notes.
-            let now = disk::metadata(self.surveyed.campaigns[campaign].path_of(&file));
-            if !now.is_ok_and(|now| Stamp::of(&now) == Stamp::of(&metadata)) {
-                continue;
-            }
-            self.surveyed.hold(campaign, &file, digest)?;
-            self.surveyed.record(campaign, &file, digest, &metadata);
-            self.digests.insert((campaign, file), digest.into());
-        }
+        self.note(campaign, done.digests)?;
         let numbered = job.item.exposure.shot.is_some() || job.item.records.is_some();
         if !numbered {
             let first = self.shots.entry(index).or_insert(0);
@@ -339,7 +345,7 @@ fn was_read(surveyed: &Surveyed<'_>, job: &Job<'_>) -> bool {
 }
 
 /// Digests of files that do not decode: they are part of the content all the same.
-fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<Hashed> {
+pub fn digests_of_bad(surveyed: &Surveyed<'_>, job: &Job<'_>) -> Vec<Hashed> {
     let campaign = &surveyed.campaigns[job.capture.campaign];
     let hashed = |file: &PathBuf| {
         let path = campaign.path_of(file);
