@@ -16,6 +16,7 @@ pages! {
     start = "README.md";
     quick_start = "quick-start.md";
     your_campaign = "your-campaign.md";
+    before_you_capture = "before-you-capture.md";
     files = "files.md";
     running = "running.md";
     report = "report.md";

@@ -16,18 +16,18 @@ use std::process::Command;
 
 /// What pages assume to be there already: (page, commands that make it).
 const ASSUMED: [(&str, &str); 3] = [
-    // A campaign of one's own, and results of another day with another threshold.
-    (
-        "README.md",
-        "periscope simulate pipelines/scenes/tiny.toml --out my-campaign
-         periscope run --campaign my-campaign --out other-results --set onsets.threshold_sigma=8 # or exit code 3",
-    ),
+    ("README.md", "periscope simulate pipelines/scenes/tiny.toml --out my-campaign"),
     (
         "docs/guide/report.md",
         "periscope simulate pipelines/scenes/tiny.toml --out my-campaign
          periscope run all-visible --campaign my-campaign --out results",
     ),
-    ("docs/guide/running.md", "periscope simulate pipelines/scenes/tiny.toml --out my-campaign"),
+    // A campaign of one's own, and results of another day with another threshold.
+    (
+        "docs/guide/running.md",
+        "periscope simulate pipelines/scenes/tiny.toml --out my-campaign
+         periscope run all-visible --campaign my-campaign --out other-results --set onsets.threshold_sigma=8 # or exit code 3",
+    ),
 ];
 
 /// A block of a page.
