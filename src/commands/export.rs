@@ -77,7 +77,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
             say!("{}: {} points, {} numbers each", args.file.display(), shape[0], shape[1])?;
         }
-        Some("ply") if echoes_view.is_some() => write_echoes(&shelf, args, &echoes_view.unwrap_or_default())?,
+        Some("ply") if let Some(view) = &echoes_view => write_echoes(&shelf, args, view)?,
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;

@@ -44,7 +44,7 @@ impl Hint {
 /// How far beyond an edge a place lies, in radii of the zone.
 #[derive(Clone, Copy, Debug)]
 pub struct Beyond {
-    pub thought: f64,
+    pub place: f64,
     pub sd: f64,
     /// Whether lengths show the edge; else there is none as far as they tell.
     pub is_shown: bool,
@@ -52,14 +52,14 @@ pub struct Beyond {
 
 impl Beyond {
     pub fn likeliest(&self) -> f64 {
-        if self.is_shown { self.thought } else { f64::NEG_INFINITY }
+        if self.is_shown { self.place } else { f64::NEG_INFINITY }
     }
 
     /// Where the edge may be otherwise: one standard deviation farther, and nearer too where that is much.
     pub fn otherwise(&self) -> impl Iterator<Item = f64> {
         let sd = self.sd.min(MOST_UNSURE);
-        let nearer = (sd > SHOWN).then_some(self.thought - sd);
-        [self.thought + sd].into_iter().chain(nearer)
+        let nearer = (sd > SHOWN).then_some(self.place - sd);
+        [self.place + sd].into_iter().chain(nearer)
     }
 }
 
@@ -153,9 +153,9 @@ impl Flat {
     /// The same, in radii of the zone of a length.
     pub fn beyond(&self, zone_m: f64) -> [Beyond; 5] {
         self.beyond_m().map(|end| {
-            let [thought, sd] = end.map(|end_m| end_m / zone_m);
-            let is_shown = sd <= SHOWN || thought >= 0.0;
-            Beyond { thought, sd, is_shown }
+            let [place, sd] = end.map(|end_m| end_m / zone_m);
+            let is_shown = sd <= SHOWN || place >= 0.0;
+            Beyond { place, sd, is_shown }
         })
     }
 
