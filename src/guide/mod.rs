@@ -45,6 +45,7 @@ pub mod stages {
         locate = "stages/locate.md";
         measure = "stages/measure.md";
         range = "stages/range.md";
+        recalibrate = "stages/recalibrate.md";
         refine = "stages/refine.md";
         reflect = "stages/reflect.md";
         search = "stages/search.md";

@@ -7,10 +7,14 @@ use crate::signal::averaged_response::averaged_response;
 use crate::signal::largest::largest;
 use crate::signal::noise;
 use crate::signal::response::Response;
+use crate::signal::sparse;
 use crate::tables::{Calibration, Profile};
 
 /// Share of a record whose samples give the noise, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
+
+/// No response is as wide in each profile to less than this, however many profiles say so.
+const WIDTH_SD_LEAST: f64 = 1e-3;
 
 /// Response and latency of one sensor at one vertical range.
 #[derive(Clone, Debug)]
@@ -23,6 +27,8 @@ pub struct Calibrated {
     pub latency_ps: f64,
     /// Mean integral of the reference pulse when it was calibrated.
     pub reference_v_ps: Option<f64>,
+    /// Standard deviation of the logarithm of the response's width in the scene.
+    pub width_sd: f64,
 }
 
 impl Calibrated {
@@ -37,6 +43,7 @@ impl Calibrated {
             polarity,
             latency_ps: row.latency_ps,
             reference_v_ps: row.reference_v_ps,
+            width_sd: row.scene_width_sd.map_or(sparse::WIDTH_SD, |sd| sd.max(WIDTH_SD_LEAST)),
         }
     }
 

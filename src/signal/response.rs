@@ -52,6 +52,22 @@ impl Response {
         Self { t0_ps: factor * self.t0_ps, step_ps: factor * self.step_ps, pieces: self.pieces.clone() }
     }
 
+    /// The same, `delay_ps` later after the arrival.
+    ///
+    /// # Panics
+    /// If the delay is not finite.
+    #[must_use]
+    pub fn delayed(&self, delay_ps: f64) -> Self {
+        assert!(delay_ps.is_finite(), "a delay is a number");
+        Self { t0_ps: self.t0_ps + delay_ps, step_ps: self.step_ps, pieces: self.pieces.clone() }
+    }
+
+    /// Distance of its knots, ps.
+    #[must_use]
+    pub fn step_ps(&self) -> f64 {
+        self.step_ps
+    }
+
     /// Value at `time_ps` after the arrival of the pulse.
     #[must_use]
     pub fn value(&self, time_ps: f64) -> f64 {

@@ -326,6 +326,9 @@ impl Shots {
             noise_acf: estimate.noise_acf.map(|acf| acf.into_iter().collect()),
             width_ps: estimate.shape.response().width_ps(),
             width_sd_ps: estimate.width_sd_ps,
+            scene_width: None,
+            scene_width_sd: None,
+            scene_evidence: None,
         })
     }
 }

@@ -157,6 +157,7 @@ struct Ready {
     /// Time error that all its arrivals share.
     jitter_ps: f64,
     response: Arc<Response>,
+    width_sd: f64,
     unpiled: Option<Unpiled>,
     polarity: f64,
     power_ratio: Option<f64>,
@@ -166,7 +167,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -287,7 +288,7 @@ impl Deconvolve {
             && a.flight.dt_ps == b.flight.dt_ps
             && context.fields.of(&first.campaign).with_laser.iter().any(|sensor| **sensor == *first.sensor)
         {
-            let together = explain::jointly(&[a.profile(), b.profile()], &self.options(&context.cancel));
+            let together = explain::jointly(&[a.profile(), b.profile()], &self.options(&context.cancel, a));
             return if first.lit < first.seen { vec![Some(together), None] } else { vec![None, Some(together)] };
         }
         ready.iter().map(|(_, ready)| self.explain_alone(context, ready)).collect()
@@ -297,9 +298,9 @@ impl Deconvolve {
         match (self.method, &ready.unpiled) {
             (Method::Wiener | Method::None, _) => None,
             (Method::Sparse, Some(unpiled)) => {
-                Some(explain::counts(unpiled, ready.profile(), &self.options(&context.cancel)))
+                Some(explain::counts(unpiled, ready.profile(), &self.options(&context.cancel, ready)))
             }
-            (Method::Sparse, None) => Some(explain::jointly(&[ready.profile()], &self.options(&context.cancel))),
+            (Method::Sparse, None) => Some(explain::jointly(&[ready.profile()], &self.options(&context.cancel, ready))),
         }
     }
 
@@ -344,6 +345,7 @@ impl Deconvolve {
             jitter_ps: profile.jitter_ps.hypot(flight.drift_sd_ps),
             flight,
             response: Arc::clone(&tools.response.as_ref().expect("taken up above").1),
+            width_sd: calibrated.width_sd,
             unpiled,
             polarity: calibrated.polarity,
             power_ratio: profile.reference_v_ps.and_then(power),
@@ -352,7 +354,7 @@ impl Deconvolve {
         })
     }
 
-    fn options(&self, cancel: &Cancel) -> SparseOptions {
+    fn options(&self, cancel: &Cancel, ready: &Ready) -> SparseOptions {
         SparseOptions {
             evidence_min: self.evidence.map(Positive::get),
             pulses_max: self.impulses_max.get() as usize,
@@ -360,6 +362,7 @@ impl Deconvolve {
             baseline: if self.signed { Baseline::Constant } else { Baseline::Line },
             signed: self.signed,
             extent_max_ps: self.extent_max_ps.get(),
+            width_sd: ready.width_sd,
             cancel: cancel.clone(),
         }
     }

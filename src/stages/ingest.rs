@@ -34,6 +34,7 @@ use super::operator::WrittenTable;
 use super::source::{Divisible, Feed, OpenSource, PartRead, Piece, PieceFeed, Source, SourcePart, Ticket};
 use super::stage::StageError;
 use crate::campaign::{Campaign, LeftOut, Role};
+use crate::parameter::Count;
 use crate::store::finite::{self, NotJson};
 use crate::store::{Digest, uncompressed};
 use crate::tables::{Row, Trace};
@@ -46,6 +47,9 @@ pub struct Ingest {
     /// Roles of the captures to read.
     #[serde(default = "scene")]
     roles: Vec<Role>,
+    /// Most captures of each sensor, the first ones; absent: all.
+    #[serde(default)]
+    captures_max: Option<Count>,
     /// How the table's codes lie on disk.
     #[serde(default)]
     compression: Compression,
@@ -104,7 +108,7 @@ impl Source for Ingest {
         WrittenTable { name: Trace::TABLE.to_owned(), schema: self.compression.schema() }
     }
     fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
-        Ok(Box::new(Surveyed::new(campaigns, &self.roles, notes)?))
+        Ok(Box::new(Surveyed::new(campaigns, &self.roles, self.captures_max.map(Count::get), notes)?))
     }
     fn take_up<'a>(
         &'a self,

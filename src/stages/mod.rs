@@ -19,6 +19,7 @@ pub mod measure;
 mod method;
 pub mod operator;
 pub mod range;
+pub mod recalibrate;
 pub mod refine;
 pub mod reflect;
 pub mod search;
@@ -99,13 +100,14 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 24] = [
+pub const KINDS: [&str; 25] = [
     "ingest",
     "ingest_pulses",
     "anchor",
     "calibrate",
     "average",
     "track",
+    "recalibrate",
     "measure",
     "characterize",
     "deconvolve",
@@ -149,6 +151,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "calibrate" => operator::<calibrate::Calibrate>(params),
         "average" => operator::<average::Average>(params),
         "track" => operator::<track::Track>(params),
+        "recalibrate" => operator::<recalibrate::Recalibrate>(params),
         "measure" => operator::<measure::Measure>(params),
         "characterize" => operator::<characterize::Characterize>(params),
         "deconvolve" => operator::<deconvolve::Deconvolve>(params),

@@ -46,5 +46,13 @@ table! {
         width_ps: f64,
         /// Standard deviation of the width.
         width_sd_ps: Option<f64>,
+        /// Factor of the width by which the scene's own pulses corrected the response (`recalibrate`). Null where it is
+        /// that of the response captures.
+        scene_width: Option<f64>,
+        /// Standard deviation of that factor.
+        scene_width_sd: Option<f64>,
+        /// Logarithm of the ratio of likelihoods of the scene's pulses, with the corrected response over that of the
+        /// response captures.
+        scene_evidence: Option<f64>,
     }
 }

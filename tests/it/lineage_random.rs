@@ -56,6 +56,13 @@ const KINDS: &[Kind] = &[
         params: &[],
     },
     Kind {
+        stage: "recalibrate",
+        from: "profiles",
+        table: "calibration",
+        beside: &[("calibration", "calibration", true), ("session", "session", false)],
+        params: &[("extent_max_ps", &["0.0", "200.0"])],
+    },
+    Kind {
         stage: "deconvolve",
         from: "profiles",
         table: "stir",

@@ -24,8 +24,6 @@ use super::nuisance::slow_direction;
 use super::state::State;
 use super::{Baseline, Profile, Response, SparseFit, SparseOptions};
 
-/// Standard deviation of the logarithm of the width's factor, before a record is seen.
-const WIDTH_SD: f64 = 0.03;
 /// Score from which another width is tried: of pulses that stand alone; of pulses that blend, whose distance looks like
 /// a width. And score from which a width is moved on once it was taken.
 const WIDTH_SIGMA: f64 = 2.0;
@@ -132,7 +130,7 @@ impl Attempt {
         let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max);
         let (state, evidences) = fitter.grown();
         let widths: Vec<Option<Width>> =
-            (0..records.len()).map(|r| Width::of(&fitter, &state, r, causes[r].stretch)).collect();
+            (0..records.len()).map(|r| Width::of(&fitter, &state, r, causes[r].stretch, options.width_sd)).collect();
         let least_score = if has_pair(&fitter, &state, |_, _| true) { WIDTH_SIGMA_BLENDED } else { WIDTH_SIGMA };
         let mut hints: Vec<Hint> = (0..records.len())
             .flat_map(|r| {
@@ -152,7 +150,7 @@ impl Attempt {
         {
             hints.extend(trials(causes));
         }
-        let stretches = causes.iter().map(|cause| (cause.stretch / WIDTH_SD).powi(2));
+        let stretches = causes.iter().map(|cause| (cause.stretch / options.width_sd).powi(2));
         let cost = fitter.cost(&state) + stretches.sum::<f64>();
         let taken = widths.iter().zip(causes).filter(|(_, cause)| cause.stretch != 0.0);
         let common = taken.filter_map(|(width, _)| width.as_ref()).map(Width::common).collect();
@@ -212,7 +210,7 @@ struct Width {
 
 impl Width {
     /// `None` where there are no pulses, or these tell nothing.
-    fn of(fitter: &Fitter, state: &State, r: usize, stretch: f64) -> Option<Self> {
+    fn of(fitter: &Fitter, state: &State, r: usize, stretch: f64, sd: f64) -> Option<Self> {
         let group = fitter.group_of(r);
         let direction = |(other, record): (usize, &super::model::WhitenedRecord)| {
             let pulses = (0..state.pulses()).filter(|k| other == r && state.place(*k).shapes == 0);
@@ -223,7 +221,7 @@ impl Width {
         let Slope { with_residual, own, imitation } = fitter.slope(state, &direction);
         let is_known = own > WIDTH_SD_MAX.powi(-2) || stretch != 0.0 && own > 0.0;
         (state.pulses() > 0 && is_known).then(|| {
-            let prior = WIDTH_SD.powi(-2);
+            let prior = sd.powi(-2);
             let step = (with_residual - stretch * prior) / (own + prior);
             let variance = (own + prior).recip();
             let shown = [(stretch + with_residual / own).exp(), own.sqrt().recip()];

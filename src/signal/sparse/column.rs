@@ -1,5 +1,6 @@
 //! One pulse of amplitude 1 in a whitened record, and its products with other pulses and with data.
 
+use super::Response;
 use super::model::WhitenedRecord;
 use super::place::Place;
 use std::ops::Range;
@@ -38,6 +39,13 @@ impl Column {
     /// The derivative by the logarithm of the response's width, in place of the value; the derivative is left 0.
     pub(super) fn stretching(record: &WhitenedRecord, time_ps: f64) -> Self {
         Self::of_point(record, time_ps, |after_ps| [-after_ps * record.response.value_and_slope(after_ps).1, 0.0])
+    }
+
+    /// Another shape than the response's in the place of a point, in place of the value; the derivative is left 0.
+    pub(super) fn of_shape(record: &WhitenedRecord, time_ps: f64, shape: &Response) -> Self {
+        let range = shape.reach(time_ps, record.t0_ps, record.dt_ps, record.len());
+        let (first, samples) = sample(record, time_ps, range, |after_ps| [shape.value(after_ps), 0.0]);
+        Self { first, samples, shape: Vec::new() }
     }
 
     /// The sum of the values of columns, each with its factor, over a record of `len` samples.

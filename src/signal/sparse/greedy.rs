@@ -76,6 +76,14 @@ impl<'a> Fitter<'a> {
         self
     }
 
+    /// Where a pulse must be worth at least this share of what the strongest is: what is less may be what an error of
+    /// the response makes of the strongest.
+    pub(super) fn with_least_share(mut self, share: f64) -> Self {
+        let strongest = self.filter.best(&self.model, &self.data).map_or(0.0, |(_, drop)| drop);
+        self.evidence_min = self.evidence_min.max(share * strongest);
+        self
+    }
+
     /// The state without pulses.
     fn start(&self) -> State {
         self.solve(Vec::new()).expect("nothing can coincide")
@@ -244,6 +252,30 @@ impl<'a> Fitter<'a> {
         let own = alone - imitation.iter().map(|v| v * v).sum::<f64>();
         state.factor.solve_upper(&mut imitation);
         Slope { with_residual, own, imitation }
+    }
+
+    /// The information on the amplitudes of directions in record 0, row-major, that which the unknowns can imitate left
+    /// out, and their products with its residual. For fits of one record.
+    pub(super) fn information(&self, state: &State, directions: Vec<Column>) -> (Vec<f64>, Vec<f64>) {
+        let record = &self.model.records[0];
+        let with_residual = directions.iter().map(|column| column.dot_record(&state.residuals[0])[0]).collect();
+        // What the unknowns and the ground under the pulses imitate of each.
+        let imitated: Vec<(Column, Vec<f64>)> = directions
+            .into_iter()
+            .map(|column| {
+                let direction = [(1.0, column)];
+                let mut products = state.fit.products_with(&self.model, &direction);
+                let [(_, column)] = direction;
+                state.factor.solve_lower(&mut products);
+                products.extend(record.nuisance.axes().iter().map(|axis| column.dot_record(axis)[0]));
+                (column, products)
+            })
+            .collect();
+        let product = |(a, of_a): &(Column, Vec<f64>), (b, of_b): &(Column, Vec<f64>)| {
+            a.shared(b) - of_a.iter().zip(of_b).map(|(a, b)| a * b).sum::<f64>()
+        };
+        let information = imitated.iter().flat_map(|a| imitated.iter().map(|b| product(a, b))).collect();
+        (information, with_residual)
     }
 
     /// What chi2 of the samples of pulse `k` may exceed that of noise by.

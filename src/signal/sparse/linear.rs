@@ -57,6 +57,11 @@ impl Cholesky {
         }
     }
 
+    /// Half the logarithm of the determinant of A.
+    pub(super) fn half_log_determinant(&self) -> f64 {
+        (0..self.n).map(|i| self.lower[i * self.n + i].ln()).sum()
+    }
+
     /// Inverse of A, row-major.
     pub(super) fn inverse(&self) -> Vec<f64> {
         let n = self.n;

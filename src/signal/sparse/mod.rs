@@ -21,10 +21,10 @@
 //! records of the same pulses are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
 //!
 //! A baseline that moves the same way in every shot, and a response of another width than the calibration's, are tried
-//! where a record asks for them.
+//! where a record asks for them. Many records together show another shape of it, an echo or a tail: [`ResponseErrors`].
 //!
-//! Not modelled: light wrapped around the end of the record; a response of another shape, with an echo or a tail. Its
-//! error shows as `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it
+//! Not modelled: light wrapped around the end of the record; in one record, a response of another shape. Its error
+//! shows as `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it
 //! to the sd of the samples under a strong pulse keeps both away.
 
 mod cause;
@@ -38,6 +38,7 @@ mod linear;
 mod matched;
 mod model;
 mod nuisance;
+mod own_response;
 mod pair;
 mod place;
 mod projection;
@@ -55,9 +56,12 @@ pub use counts::{Unpiled, fit_counts};
 pub use evidence::{evidence_min, evidence_min_of};
 pub use joint::fit_joint;
 pub use matched::{Given, Matched, Open, matched};
+pub use own_response::{OwnResponse, ResponseErrors, ResponseScore};
 pub use pair::Pair;
 use place::Place;
 
+/// Standard deviation of the logarithm of a response's width that was calibrated another day.
+pub const WIDTH_SD: f64 = 0.03;
 /// False pulses a record of pure noise, where the caller sets no threshold.
 const FALSE_PULSES: f64 = 1e-4;
 
@@ -109,6 +113,8 @@ pub struct SparseOptions {
     /// enough, by the chords of a disk in its place, or also by an exponential tail. What looks wider still is taken
     /// for two pulses; two closer than twice this may be taken for one, and are kept as its [`Pulse::pair`].
     pub extent_max_ps: f64,
+    /// Standard deviation of the logarithm of the response's width, over what it is, before the record is seen.
+    pub width_sd: f64,
     /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
     pub cancel: Cancel,
 }
@@ -121,6 +127,7 @@ impl Default for SparseOptions {
             baseline: Baseline::Line,
             signed: false,
             extent_max_ps: 0.0,
+            width_sd: WIDTH_SD,
             cancel: Cancel::never(),
         }
     }

@@ -5,6 +5,7 @@ mod correlated;
 mod counts;
 mod extended;
 mod joint;
+mod own_response;
 
 use super::*;
 use rand::{RngExt, SeedableRng};

@@ -47,7 +47,7 @@ pub struct RawShare {
 /// # Errors
 /// When a folder cannot be read, rules contradict each other, or a file has changed since it was sealed or first read.
 pub fn raw_captures(campaigns: &[Campaign], roles: &[Role], notes: &Path) -> Result<Vec<RawCapture>, StageError> {
-    let surveyed = Surveyed::new(campaigns, roles, notes)?;
+    let surveyed = Surveyed::new(campaigns, roles, None, notes)?;
     let mut captures = Vec::new();
     for (part, of_part) in surveyed.source_parts.iter().zip(&surveyed.parts) {
         captures.extend(of_part.iter().map(|capture| RawCapture {

@@ -54,7 +54,7 @@ impl Source for IngestPulses {
         WrittenTable { name: Pulse::TABLE.to_owned(), schema: Pulse::schema() }
     }
     fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
-        Ok(Box::new(Flights(Surveyed::new(campaigns, &[Role::Scene], notes)?)))
+        Ok(Box::new(Flights(Surveyed::new(campaigns, &[Role::Scene], None, notes)?)))
     }
     fn take_up<'a>(
         &'a self,

@@ -100,11 +100,17 @@ pub struct Surveyed<'a> {
 }
 
 impl<'a> Surveyed<'a> {
-    /// Matches files against rules, and cuts the captures of these roles into parts.
+    /// Matches files against rules, and cuts the captures of these roles into parts: of each sensor all, or the first
+    /// ones.
     ///
     /// # Errors
     /// When a folder cannot be read, rules contradict each other, or a sealed file has changed.
-    pub fn new(campaigns: &'a [Campaign], roles: &[Role], notes: &Path) -> Result<Self, StageError> {
+    pub fn new(
+        campaigns: &'a [Campaign],
+        roles: &[Role],
+        captures_max: Option<u32>,
+        notes: &Path,
+    ) -> Result<Self, StageError> {
         let mut captures: BTreeMap<Order, Capture> = BTreeMap::new();
         let mut left_out = Vec::new();
         let mut records = Vec::new();
@@ -131,7 +137,13 @@ impl<'a> Surveyed<'a> {
                 }
             }
         }
-        Self::of(campaigns, cut(campaigns, captures.into_values()), left_out, records)
+        let mut taken: BTreeMap<(usize, String), u32> = BTreeMap::new();
+        let captures = captures.into_values().filter(|capture| {
+            let taken = taken.entry((capture.campaign, capture.sensor.clone())).or_default();
+            *taken = taken.saturating_add(1);
+            captures_max.is_none_or(|most| *taken <= most)
+        });
+        Self::of(campaigns, cut(campaigns, captures), left_out, records)
     }
 
     /// Of parts that were cut already.

@@ -1,0 +1,321 @@
+//! The response as the pulses of many records show it, where that contradicts the calibration.
+//!
+//! A response that was measured another day is a little wider or narrower, has an echo from a connector, or a tail. One
+//! record can hardly tell that from light: an echo looks like a weak pulse, a wider response like two pulses. Many
+//! records can, since light arrives at other distances in each, and what is the sensor's does not.
+//!
+//! Model: `h + sum_j c_j e_j` in the place of h, with small coefficients c of given standard deviations about 0. The
+//! shapes e are the derivative by the logarithm of the width, copies of the response at delays, and the response behind
+//! exponential tails. Each record is fitted with its pulses; the residual's products with the shapes, freed of what times,
+//! amplitudes and ground of the record can imitate, add up to the normal equations of c. All is Gaussian, so that the
+//! marginal likelihoods of three models are known in closed form: the calibration stands, its width is another, its
+//! shape is another.
+//!
+//! A correction counts if it is as large in all records: patches that spread light each in their own way, and bounces
+//! that follow one another, are no property of the sensor. (A random effect between records: DerSimonian and Laird,
+//! Control. Clin. Trials 7, 177 (1986).)
+//!
+//! Not modelled: a response that arrives earlier or later, which no record tells from light that does; a slower rise.
+
+use super::column::Column;
+use super::evidence::evidence_min_of;
+use super::greedy::Fitter;
+use super::linear::Cholesky;
+use super::model::Model;
+use super::{FALSE_PULSES, Profile, Response, SparseOptions, WIDTH_SD};
+
+/// Distance of the copies of the response, in widths, and their number.
+const DELAY_WIDTHS: f64 = 0.5;
+const DELAYS: usize = 16;
+/// Copies that look like light which a patch spreads in time.
+const SPREAD_DELAYS: usize = 3;
+/// Constants of the tails, in widths, and how many of these a tail is followed.
+const TAILS_WIDTHS: [f64; 3] = [2.0, 4.0, 8.0];
+const TAIL_REACH: f64 = 6.0;
+/// Standard deviations of the coefficients before a record is seen: of an echo's share of the amplitude, of a tail's
+/// share of the area.
+const ECHO_SD: f64 = 0.01;
+const TAIL_SD: f64 = 0.02;
+/// Logarithm of the ratio of likelihoods that a change of the width must bring, and what more than that a change of the
+/// shape.
+const LEAST_GAIN: f64 = 7.0;
+const LEAST_MORE: f64 = 3.0;
+/// Fewer records of equal weight are not many.
+const RECORDS_MIN: f64 = 6.0;
+/// The sizes of the correction in the records may have this standard deviation, over its own size.
+const SPREAD_MAX: f64 = 0.35;
+/// Standard deviations of chi2 that a spread must exceed.
+const SPREAD_SIGMA: f64 = 2.0;
+
+/// A response, and how it may differ from what it is.
+#[derive(Clone, Debug)]
+pub struct ResponseErrors {
+    response: Response,
+    /// The derivative by the logarithm of the width, then the others.
+    shapes: Vec<Response>,
+    sds: Vec<f64>,
+    /// Whether light may be spread in time, which looks like a wider response.
+    may_spread: bool,
+}
+
+/// What one record says of the coefficients: twice the logarithm of its likelihood falls from `2 gradient c` by
+/// `c information c`.
+#[derive(Clone, Debug)]
+pub struct ResponseScore {
+    information: Vec<f64>,
+    gradient: Vec<f64>,
+}
+
+/// A response that explains all records better than the calibration's.
+#[derive(Clone, Debug)]
+pub struct OwnResponse {
+    /// Coefficient of each shape.
+    pub coefficients: Vec<f64>,
+    /// Factor of the width, and its standard deviation.
+    pub width: [f64; 2],
+    /// Logarithm of the ratio of likelihoods to the calibration's response.
+    pub gain: f64,
+    /// Standard deviation of the correction's size between records, over its size: the least that they allow, and the
+    /// likeliest.
+    pub spread: [f64; 2],
+}
+
+impl OwnResponse {
+    /// Whether the correction is the sensor's: as large in all records.
+    #[must_use]
+    pub fn is_common(&self) -> bool {
+        self.spread[0] < SPREAD_MAX
+    }
+}
+
+impl ResponseErrors {
+    /// Of a pulse's response; `may_spread` where light may be spread in time ([`SparseOptions::extent_max_ps`]): then
+    /// what looks like that is not sought. `None` for a step's response.
+    #[must_use]
+    pub fn new(response: &Response, may_spread: bool) -> Option<Self> {
+        if response.is_step() {
+            return None;
+        }
+        let width_ps = response.width_ps();
+        let first = if may_spread { SPREAD_DELAYS + 1 } else { 1 };
+        let echoes = (first..=DELAYS).map(|j| response.delayed(j as f64 * DELAY_WIDTHS * width_ps));
+        let tails = TAILS_WIDTHS.iter().map(|widths| tailed(response, widths * width_ps));
+        let shapes: Vec<Response> = std::iter::once(stretching(response)).chain(echoes).chain(tails).collect();
+        let sds = (0..shapes.len()).map(|j| match j {
+            0 => WIDTH_SD,
+            _ if j < shapes.len() - TAILS_WIDTHS.len() => ECHO_SD,
+            _ => TAIL_SD,
+        });
+        Some(Self { response: response.clone(), sds: sds.collect(), shapes, may_spread })
+    }
+
+    /// Coefficients of the response as it is.
+    #[must_use]
+    pub fn none(&self) -> Vec<f64> {
+        vec![0.0; self.shapes.len()]
+    }
+
+    /// The response with these coefficients.
+    ///
+    /// # Panics
+    /// When there are not as many coefficients as shapes.
+    #[must_use]
+    pub fn response(&self, coefficients: &[f64]) -> Response {
+        assert_eq!(coefficients.len(), self.shapes.len(), "one coefficient a shape");
+        let stretched = self.response.stretched(coefficients[0].exp());
+        let added: Vec<(&Response, f64)> =
+            self.shapes.iter().zip(coefficients.iter().copied()).skip(1).filter(|(_, c)| *c != 0.0).collect();
+        if added.is_empty() {
+            return stretched;
+        }
+        let step_ps = self.response.step_ps();
+        let supports = added.iter().map(|(shape, _)| shape.support_ps()).chain([stretched.support_ps()]);
+        let (first_ps, last_ps) =
+            supports.fold((f64::INFINITY, f64::NEG_INFINITY), |all, one| (all.0.min(one.0), all.1.max(one.1)));
+        let (first, last) = ((first_ps / step_ps).floor() as i64, (last_ps / step_ps).ceil() as i64);
+        let value = |n: i64| {
+            let after_ps = n as f64 * step_ps;
+            stretched.value(after_ps) + added.iter().map(|(shape, c)| c * shape.value(after_ps)).sum::<f64>()
+        };
+        Response::new(first as f64 * step_ps, step_ps, &(first..=last).map(value).collect::<Vec<_>>())
+    }
+
+    /// What a record says, fitted with the response of these coefficients; `averaged` is what averaging leaves of a
+    /// response in it. Pulses that are worth less than `least_share` of what the strongest is are not sought. `None`
+    /// where the record shows no pulse.
+    ///
+    /// # Panics
+    /// For what [`super::fit`] panics for.
+    pub fn score(
+        &self,
+        profile: &Profile,
+        coefficients: &[f64],
+        averaged: impl Fn(&Response) -> Response,
+        least_share: f64,
+        options: &SparseOptions,
+    ) -> Option<ResponseScore> {
+        let response = averaged(&self.response(coefficients));
+        let evidence_min = options.evidence_min.unwrap_or_else(|| evidence_min_of(profile, &response, FALSE_PULSES));
+        let model = Model::new(&[(*profile, &response)], options, true);
+        let fitter = Fitter::new(model, &[profile.mean_v], evidence_min, options.pulses_max);
+        let fitter = fitter.with_least_share(least_share);
+        let (state, _) = fitter.grown();
+        if state.pulses() == 0 {
+            return None;
+        }
+        let record = &fitter.model.records[0];
+        let direction = |(j, shape): (usize, &Response)| {
+            let shape = averaged(shape);
+            // A pulse that is spread in time tells nothing of the width.
+            let tells = |k: &usize| j > 0 || state.place(*k).shapes == 0;
+            let column = |k: usize| (state.amplitude(k), Column::of_shape(record, state.time_ps(k), &shape));
+            Column::sum((0..state.pulses()).filter(tells).map(column), record.len())
+        };
+        let directions = self.shapes.iter().enumerate().map(direction).collect();
+        let (mut information, mut gradient) = fitter.information(&state, directions);
+        let inflation = fitter.misfit(&state, None, None).inflation().powi(2);
+        information.iter_mut().chain(&mut gradient).for_each(|value| *value /= inflation);
+        for (gradient, row) in gradient.iter_mut().zip(information.chunks(coefficients.len())) {
+            *gradient += row.iter().zip(coefficients).map(|(a, b)| a * b).sum::<f64>();
+        }
+        Some(ResponseScore { information, gradient })
+    }
+
+    /// What all records say together; `None` where the calibration's response explains them as well, or they are too
+    /// few.
+    #[must_use]
+    pub fn estimate(&self, scores: &[ResponseScore]) -> Option<OwnResponse> {
+        let shapes = self.shapes.len();
+        let mut all = ResponseScore { information: vec![0.0; shapes * shapes], gradient: vec![0.0; shapes] };
+        for score in scores {
+            all.information.iter_mut().zip(&score.information).for_each(|(sum, value)| *sum += value);
+            all.gradient.iter_mut().zip(&score.gradient).for_each(|(sum, value)| *sum += value);
+        }
+        let every: Vec<usize> = (0..shapes).collect();
+        let may_stretch = |found: &OwnResponse| !self.may_spread || found.coefficients[0] <= 0.0;
+        let width = self.posterior(&all, &every[..1]).filter(may_stretch);
+        let shape = self.posterior(&all, &every).filter(may_stretch).or_else(|| self.posterior(&all, &every[1..]));
+        let of_width = width.as_ref().map_or(0.0, |found| found.gain);
+        let shape = shape.filter(|found| found.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);
+        let mut found = shape.or(width).filter(|found| found.gain > LEAST_GAIN)?;
+        let sizes: Vec<(f64, f64)> = scores.iter().filter_map(|score| score.size_along(&found.coefficients)).collect();
+        found.spread = spread(&sizes)?;
+        found.width[1] = found.width[1].hypot(found.spread[1] * found.coefficients[0]);
+        Some(found)
+    }
+
+    /// The likeliest coefficients of the shapes `open`, the others 0.
+    fn posterior(&self, score: &ResponseScore, open: &[usize]) -> Option<OwnResponse> {
+        let (shapes, count) = (self.shapes.len(), open.len());
+        // In units of the standard deviations before.
+        let unit = |i: usize, j: usize| self.sds[open[i]] * self.sds[open[j]];
+        let scaled = |i: usize, j: usize| {
+            f64::from(u8::from(i == j)) + unit(i, j) * score.information[open[i] * shapes + open[j]]
+        };
+        let matrix = (0..count).flat_map(|i| (0..count).map(move |j| (i, j))).map(|(i, j)| scaled(i, j)).collect();
+        let factor = Cholesky::new(matrix, count)?;
+        let mut half: Vec<f64> = open.iter().map(|j| self.sds[*j] * score.gradient[*j]).collect();
+        factor.solve_lower(&mut half);
+        let gain = 0.5 * half.iter().map(|v| v * v).sum::<f64>() - factor.half_log_determinant();
+        factor.solve_upper(&mut half);
+        let mut coefficients = self.none();
+        open.iter().zip(&half).for_each(|(j, value)| coefficients[*j] = self.sds[*j] * value);
+        let of_width = if open[0] == 0 { factor.inverse()[0].sqrt() } else { 1.0 };
+        let width = [coefficients[0].exp(), self.sds[0] * of_width];
+        Some(OwnResponse { coefficients, width, gain, spread: [0.0; 2] })
+    }
+}
+
+impl ResponseScore {
+    /// Size of a correction in this record, over the given one's, and the weight of that; `None` where it tells nothing.
+    fn size_along(&self, coefficients: &[f64]) -> Option<(f64, f64)> {
+        let dot = |a: &[f64]| a.iter().zip(coefficients).map(|(a, b)| a * b).sum::<f64>();
+        let weight: f64 =
+            self.information.chunks(coefficients.len()).zip(coefficients).map(|(row, c)| c * dot(row)).sum();
+        (weight > 0.0).then(|| (dot(&self.gradient) / weight, weight))
+    }
+}
+
+/// Standard deviation of sizes, each with its weight, beyond what the weights explain: the least, and the likeliest.
+/// `None` of too few.
+fn spread(sizes: &[(f64, f64)]) -> Option<[f64; 2]> {
+    let sum = |of: &dyn Fn(&(f64, f64)) -> f64| sizes.iter().map(of).sum::<f64>();
+    let (weights, squared) = (sum(&|(_, w)| *w), sum(&|(_, w)| w * w));
+    if weights * weights < RECORDS_MIN * squared || sizes.is_empty() {
+        return None;
+    }
+    let mean = sum(&|(size, w)| w * size) / weights;
+    let chi2 = sum(&|(size, w)| w * (size - mean).powi(2));
+    let freedom = sizes.len() as f64 - 1.0;
+    let of_excess = |excess: f64| (excess / (weights - squared / weights)).max(0.0).sqrt();
+    Some([of_excess(chi2 - freedom - SPREAD_SIGMA * (2.0 * freedom).sqrt()), of_excess(chi2 - freedom)])
+}
+
+/// The derivative of a response by the logarithm of its width.
+fn stretching(response: &Response) -> Response {
+    let ((first_ps, last_ps), step_ps) = (response.support_ps(), response.step_ps());
+    let knots = ((last_ps - first_ps) / step_ps).round() as usize;
+    let at = |n: usize| first_ps + n as f64 * step_ps;
+    let values: Vec<f64> = (0..=knots).map(|n| -at(n) * response.value_and_slope(at(n)).1).collect();
+    Response::new(first_ps, step_ps, &values)
+}
+
+/// A response behind an exponential of constant `tail_ps` and area 1.
+fn tailed(response: &Response, tail_ps: f64) -> Response {
+    let ((first_ps, last_ps), step_ps) = (response.support_ps(), response.step_ps());
+    let knots = ((last_ps - first_ps + TAIL_REACH * tail_ps) / step_ps).ceil() as usize;
+    let decay = (-step_ps / tail_ps).exp();
+    let mut value = 0.0;
+    let values: Vec<f64> = (0..=knots)
+        .map(|n| {
+            value = decay * value + (1.0 - decay) * response.value(first_ps + n as f64 * step_ps);
+            value
+        })
+        .collect();
+    Response::new(first_ps, step_ps, &values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gaussian() -> Response {
+        let values: Vec<f64> = (-60..=60).map(|n| (-0.5 * (f64::from(n) * 5.0 / 60.0).powi(2)).exp()).collect();
+        Response::new(-300.0, 5.0, &values)
+    }
+
+    #[test]
+    fn shapes_add_up() {
+        let response = gaussian();
+        let errors = ResponseErrors::new(&response, false).unwrap();
+        assert_eq!(errors.none().len(), 1 + DELAYS + TAILS_WIDTHS.len());
+        let mut coefficients = errors.none();
+        (coefficients[0], coefficients[4]) = (0.02, 0.01);
+        let changed = errors.response(&coefficients);
+        for n in -40..60 {
+            let t = 7.0 * f64::from(n);
+            let expected = (-0.5 * (t / 60.0 / 0.02_f64.exp()).powi(2)).exp()
+                + 0.01 * response.value(t - 2.0 * response.width_ps());
+            assert!((changed.value(t) - expected).abs() < 1e-5, "at {t}: {} for {expected}", changed.value(t));
+        }
+        // To first order, the first shape is what a width does.
+        let (less, more) = (response.stretched(0.999), response.stretched(1.001));
+        for t in [-100.0, -30.0, 0.0, 55.0, 130.0] {
+            let slope = (more.value(t) - less.value(t)) / 0.002;
+            assert!((errors.shapes[0].value(t) - slope).abs() < 1e-4);
+        }
+        // A tail has the area that it is a share of.
+        let area = |of: &Response| (-60..2000).map(|n| 5.0 * of.value(5.0 * f64::from(n))).sum::<f64>();
+        let share = area(errors.shapes.last().unwrap()) / area(&response);
+        assert!((share - 1.0).abs() < 5e-3, "{share}");
+    }
+
+    #[test]
+    fn what_differs_from_record_to_record_is_no_property_of_the_sensor() {
+        let alike: Vec<(f64, f64)> = (0..20).map(|n| (1.0 + 0.1 * f64::from(n % 3 - 1), 100.0)).collect();
+        assert!(spread(&alike).unwrap()[1] < 0.05);
+        let other: Vec<(f64, f64)> = (0..20).map(|n| (f64::from(n % 3), 100.0)).collect();
+        assert!(spread(&other).unwrap().iter().all(|spread| (spread - 0.8).abs() < 0.1));
+        assert!(spread(&alike[..4]).is_none() && spread(&[]).is_none());
+    }
+}

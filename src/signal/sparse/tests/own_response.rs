@@ -1,0 +1,106 @@
+//! The response as many records show it, held against the shape that made them.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+use crate::response::Response;
+use crate::sparse::{OwnResponse, Profile, ResponseErrors, SparseOptions};
+
+const DT_PS: f64 = 50.0;
+const SAMPLES: usize = 400;
+
+/// A fast diode's pulse, its maximum at 0.
+fn diode(t: f64) -> f64 {
+    if t < 0.0 { (-0.5 * (t / 40.0).powi(2)).exp() } else { (1.0 + t / 45.0) * (-t / 45.0).exp() }
+}
+
+fn calibrated() -> Response {
+    let values: Vec<f64> = (-50..=150).map(|n| diode(6.25 * f64::from(n))).collect();
+    Response::new(-50.0 * 6.25, 6.25, &values)
+}
+
+/// Records of one or two pulses each, as a sensor of the shape `own(time, record)` sees them, in white noise.
+fn records(own: impl Fn(f64, usize) -> f64, snr: f64, count: usize, seed: u64) -> Vec<Vec<f64>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let noise = Normal::new(0.0, 1.0 / snr).expect("positive");
+    let record = |k: usize| {
+        let first = rng.random_range(2000.0..3000.0);
+        let second = first + rng.random_range(800.0..9000.0);
+        let share = rng.random_range(0.02..1.0);
+        let light = |n: usize| own(n as f64 * DT_PS - first, k) + share * own(n as f64 * DT_PS - second, k);
+        (0..SAMPLES).map(|n| light(n) + noise.sample(&mut rng)).collect()
+    };
+    (0..count).map(record).collect()
+}
+
+/// What they say of the calibration's response, in four rounds.
+fn found(records: &[Vec<f64>], snr: f64, options: &SparseOptions) -> Option<OwnResponse> {
+    let sd_v = [1.0 / snr; SAMPLES];
+    let errors = ResponseErrors::new(&calibrated(), options.extent_max_ps > 0.0).expect("it is a pulse");
+    let mut last: Option<OwnResponse> = None;
+    for least_share in [1e-2, 1e-3, 0.0, 0.0] {
+        let coefficients = last.map_or_else(|| errors.none(), |found| found.coefficients);
+        let score = |mean_v: &Vec<f64>| {
+            let profile = Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS };
+            errors.score(&profile, &coefficients, Response::clone, least_share, options)
+        };
+        last = Some(errors.estimate(&records.iter().filter_map(score).collect::<Vec<_>>())?);
+    }
+    last
+}
+
+#[test]
+fn another_width_is_found_within_its_error() {
+    let options = SparseOptions::default();
+    for (snr, factor) in [(50.0, 0.95), (50.0, 1.05), (200.0, 0.98), (200.0, 1.02), (200.0, 1.05)] {
+        for seed in 0..3 {
+            let found = found(&records(|t, _| diode(t / factor), snr, 60, seed), snr, &options).expect("it shows");
+            let [width, sd] = found.width;
+            let of_calibration = calibrated().width_ps();
+            let shown = ResponseErrors::new(&calibrated(), false).unwrap().response(&found.coefficients).width_ps();
+            assert!((width - factor).abs() < 3.0 * sd && sd < 0.6 / snr, "{snr}, {factor}: {found:?}");
+            assert!(
+                (shown / of_calibration - factor).abs() < 3.0 * sd && found.is_common(),
+                "{snr}, {factor}: {found:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_echo_and_a_tail_are_found() {
+    let options = SparseOptions::default();
+    let errors = ResponseErrors::new(&calibrated(), false).unwrap();
+    let echoing = |t: f64| diode(t) + 0.01 * diode(t - 600.0);
+    let tailed = |t: f64| diode(t) + 0.01 * (-t.max(0.0) / 1000.0).exp() * (1.0 - (-t.max(0.0) / 40.0).exp());
+    for seed in 0..3 {
+        for own in [&echoing as &dyn Fn(f64) -> f64, &tailed] {
+            let found = found(&records(|t, _| own(t), 200.0, 60, seed), 200.0, &options).expect("it shows");
+            let shown = errors.response(&found.coefficients);
+            // How high a response is, its pulses' amplitudes say.
+            let off = |t: f64| (shown.value(t) / shown.value(0.0) - own(t) / own(0.0)).abs();
+            let off = (0..40).map(|n| off(f64::from(n) * DT_PS)).fold(0.0, f64::max);
+            assert!(found.is_common() && off < 0.003, "{off}: {found:?}");
+        }
+    }
+}
+
+/// A right response stays as it is, and so does one beside patches that spread light each in their own way.
+#[test]
+fn what_is_not_the_sensors_is_left_alone() {
+    let options = SparseOptions::default();
+    for seed in 0..3 {
+        for snr in [20.0, 200.0] {
+            let found = found(&records(|t, _| diode(t), snr, 60, seed), snr, &options);
+            assert!(found.is_none(), "{snr}: {found:?}");
+        }
+        let spread = records(|t, k| diode(t / (1.0 + 0.02 * (k % 6) as f64)), 200.0, 60, seed);
+        let as_points = found(&spread, 200.0, &options);
+        assert!(as_points.as_ref().is_none_or(|found| !found.is_common()), "{as_points:?}");
+        let as_spread = found(&spread, 200.0, &SparseOptions { extent_max_ps: 100.0, ..options.clone() });
+        assert!(as_spread.as_ref().is_none_or(|found| !found.is_common()), "{as_spread:?}");
+    }
+    let few = records(|t, _| diode(t / 1.05), 200.0, 5, 0);
+    assert!(found(&few, 200.0, &options).is_none());
+}
