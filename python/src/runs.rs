@@ -8,10 +8,11 @@ use periscope::campaign::Campaign;
 use periscope::cancel::Cancel;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::recorded::{lineages, recorded};
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::spec::{BuiltIn, Definition, Reference, Spec};
 use periscope::simulate::{self as simulation, Format, Scene};
-use periscope::store::runs::{Ending, RunRecord};
+use periscope::store::runs::RunRecord;
 use periscope::store::{Digest, Shelf};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -96,29 +97,7 @@ impl Job {
         self.distinct()?;
         let campaigns = self.campaigns.iter().map(|campaign| (campaign.name.as_str(), campaign.root.as_path()));
         let mut record = RunRecord::start(self.reference.absolute()?, &self.settings, campaigns)?;
-        self.shelf.write_run(&record)?;
-        let outcome = Cancel::catch(|| self.compute(cancel, &mut record.tables)).map_err(Into::into).flatten();
-        let ending = match &outcome {
-            Ok(outcome) => {
-                record.rejects = outcome.rejects;
-                record.left_out = outcome.left_out.iter().map(ToString::to_string).collect();
-                record.passes.clone_from(&outcome.passes);
-                Ending::Done
-            }
-            Err(_) if cancel.is_cancelled() => Ending::Interrupted,
-            Err(error) => {
-                record.failure = Some(format!("{error:#}"));
-                Ending::Failed
-            }
-        };
-        record.end(ending);
-        let recorded = self.shelf.targets().and_then(|views| {
-            record.views = views;
-            self.shelf.write_run(&record)
-        });
-        let outcome = outcome?;
-        recorded?;
-        Ok(outcome)
+        recorded(&self.shelf, &mut record, |whole| self.compute(cancel, whole), |_| cancel.is_cancelled())
     }
 
     /// Rows of campaigns of one name would mix.
@@ -140,9 +119,7 @@ impl Job {
         let mut plan =
             Plan::new(&self.spec, &self.campaigns, &self.shelf, self.until.as_deref()).map_err(RunError::Plan)?;
         let outcome = runner::run(&mut plan, &settings, &Progress::new(self.style));
-        let steps = self.spec.steps.iter().zip(&plan.tables);
-        let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
-        whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));
+        whole.extend(lineages(&plan));
         Ok(outcome?)
     }
 }

@@ -10,15 +10,15 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use periscope::campaign::Campaign;
-use periscope::cancel::Cancel;
 use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::recorded::{lineages, recorded};
 use periscope::pipeline::rejects::MaxRejects;
 use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::shards;
 use periscope::pipeline::spec::{BuiltIn, Definition, Reference, Spec};
-use periscope::store::runs::{Ending, RunRecord};
+use periscope::store::runs::RunRecord;
 use periscope::store::{Digest, Left, Shelf, StoreError};
 
 use super::aftermath;
@@ -149,29 +149,7 @@ impl Job<'_> {
 
     /// Plans and runs; prints warnings of the survey. The record of the run is on the shelf from its start on.
     pub fn execute(&self, record: &mut RunRecord) -> Result<Outcome> {
-        self.shelf.write_run(record)?;
-        let outcome = Cancel::catch(|| self.compute(&mut record.tables)).map_err(Into::into).flatten();
-        let ending = match &outcome {
-            Ok(outcome) => {
-                record.rejects = outcome.rejects;
-                record.left_out = outcome.left_out.iter().map(ToString::to_string).collect();
-                record.passes.clone_from(&outcome.passes);
-                Ending::Done
-            }
-            Err(error) if is_interruption(error) => Ending::Interrupted,
-            Err(error) => {
-                record.failure = Some(format!("{error:#}"));
-                Ending::Failed
-            }
-        };
-        record.end(ending);
-        let written = self.shelf.targets().and_then(|views| {
-            record.views = views;
-            self.shelf.write_run(record)
-        });
-        let outcome = outcome?;
-        written?;
-        Ok(outcome)
+        recorded(self.shelf, record, |whole| self.compute(whole), is_interruption)
     }
 
     /// The same. If a stage fails, it also prints what was rejected before.
@@ -200,9 +178,7 @@ impl Job<'_> {
             shards.check(&plan)?;
         }
         let outcome = runner::run(&mut plan, &self.settings, &progress);
-        let steps = self.spec.steps.iter().zip(&plan.tables);
-        let kept = steps.filter(|(step, table)| step.keep && table.wanted && table.complete());
-        whole.extend(kept.filter_map(|(step, table)| Some((step.heading.clone(), table.lineage()?))));
+        whole.extend(lineages(&plan));
         Ok(outcome?)
     }
 }

@@ -9,6 +9,7 @@ pub mod pass;
 pub mod plan;
 pub mod progress;
 mod recipe;
+pub mod recorded;
 pub mod rejects;
 pub mod roots;
 pub mod run;

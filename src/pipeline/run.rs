@@ -10,6 +10,7 @@ use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
 use crate::campaign::LeftOut;
+use crate::stages::Node;
 use crate::store::runs::PassRecord;
 use crate::store::{Digest, StageId, StoreError, TableRecord};
 use crate::tables::{Reject, Row};
@@ -42,7 +43,7 @@ pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Res
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
     let ended = passes(plan, settings, most_rejects, progress, &mut outcome);
     // Also of a run that failed: what was rejected before is often the cause.
-    let tables: Vec<_> = behind(plan)
+    let tables: Vec<_> = telling(plan)
         .into_iter()
         .map(|i| (plan.spec.steps[i].heading.as_str(), &plan.tables[i].id, plan.tables[i].present.as_slice()))
         .collect();
@@ -120,15 +121,32 @@ fn behind(plan: &Plan<'_>) -> Vec<usize> {
     (0..behind.len()).filter(|&i| behind[i]).collect()
 }
 
+/// Those that tell what was rejected: not what is made from a sample of the captures that another source reads all of.
+fn telling(plan: &Plan<'_>) -> Vec<usize> {
+    let source = |i: usize| {
+        let root = std::iter::successors(Some(i), |&i| plan.from(i)).last()?;
+        match &plan.spec.steps[root].node {
+            Node::Source(source) => Some(source.as_ref()),
+            Node::Operator(_) => None,
+        }
+    };
+    let behind = behind(plan);
+    let is_sample = |i: usize| {
+        let others = || behind.iter().filter_map(|&other| source(other));
+        source(i).is_some_and(|own| others().any(|other| own.is_sample_of(other)))
+    };
+    behind.iter().copied().filter(|&i| !is_sample(i)).collect()
+}
+
 /// Records that the campaigns have for this run.
 fn records(plan: &Plan<'_>) -> u64 {
-    let sources = behind(plan).into_iter().filter_map(|i| plan.sources.get(&i));
+    let sources = telling(plan).into_iter().filter_map(|i| plan.sources.get(&i));
     sources.flat_map(|source| source.parts()).map(|part| part.records).sum()
 }
 
 /// Rejected rows, in the parts that are on the shelf.
 fn rejects(plan: &Plan<'_>) -> u64 {
-    let parts = behind(plan).into_iter().flat_map(|i| plan.tables[i].present.iter().flatten());
+    let parts = telling(plan).into_iter().flat_map(|i| plan.tables[i].present.iter().flatten());
     parts.filter_map(|part| part.files.get(Reject::TABLE)).map(|file| file.rows).sum()
 }
 

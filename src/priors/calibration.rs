@@ -27,8 +27,9 @@ pub struct Calibrated {
     pub latency_ps: f64,
     /// Mean integral of the reference pulse when it was calibrated.
     pub reference_v_ps: Option<f64>,
-    /// Standard deviation of the logarithm of the response's width in the scene.
-    pub width_sd: f64,
+    /// Width of the response over that of the response captures, and the standard deviation of its logarithm in the
+    /// scene.
+    pub width: [f64; 2],
 }
 
 impl Calibrated {
@@ -43,7 +44,10 @@ impl Calibrated {
             polarity,
             latency_ps: row.latency_ps,
             reference_v_ps: row.reference_v_ps,
-            width_sd: row.scene_width_sd.map_or(sparse::WIDTH_SD, |sd| sd.max(WIDTH_SD_LEAST)),
+            width: match row.scene_width.zip(row.scene_width_sd) {
+                Some((width, sd)) => [width, sd.max(WIDTH_SD_LEAST)],
+                None => [1.0, sparse::WIDTH_SD],
+            },
         }
     }
 

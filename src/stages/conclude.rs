@@ -56,8 +56,8 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
-    Ambiguity, Calibration, Decision, Fit, Hypothesis, Image, JointSearch, Label, Name, ONSET_KINDS, Onset, Patch,
-    PatchFootprint, Plane, SceneOdds, SurfacePoint,
+    Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint,
+    Plane, SceneOdds, SurfacePoint,
 };
 
 /// Bounces of the last light that all rooms show.
@@ -87,12 +87,11 @@ pub struct Context {
     images: Vec<Image>,
     /// Of `first_returns`; `None` where it did not run.
     surface: Option<Vec<SurfacePoint>>,
-    calibration: Vec<Calibration>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 8;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -107,7 +106,6 @@ impl Stage for Conclude {
         Beside { name: "searches", table: "searches", required: false },
         Beside { name: "images", table: "images", required: false },
         Beside { name: "surface", table: "surface_points", required: false },
-        Beside { name: "calibration", table: "calibration", required: false },
     ];
     type Input = Patch;
     type Output = Decision;
@@ -137,7 +135,6 @@ impl Stage for Conclude {
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
             surface: beside.rows("surface")?,
-            calibration: beside.rows("calibration")?.unwrap_or_default(),
         })
     }
 }
@@ -171,7 +168,6 @@ impl Context {
         decisions.extend(self.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
         decisions.extend([self.frame(), self.coplanar(best), self.sizes(), self.pulse_shapes()]);
         decisions.extend(waveforms::decisions(&self.onsets));
-        decisions.extend(waveforms::corrections(&self.calibration));
         decisions.extend(self.ranges());
         decisions
     }

@@ -157,7 +157,8 @@ struct Ready {
     /// Time error that all its arrivals share.
     jitter_ps: f64,
     response: Arc<Response>,
-    width_sd: f64,
+    /// Width of the response over that of the response captures, and the standard deviation of its logarithm.
+    width: [f64; 2],
     unpiled: Option<Unpiled>,
     polarity: f64,
     power_ratio: Option<f64>,
@@ -267,7 +268,7 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         impulse_cov,
         chi2_dof,
         ground_v,
-        response_width: width.map(|[factor, _]| factor),
+        response_width: width.map(|[factor, _]| ready.width[0] * factor),
         response_width_sd: width.map(|[_, sd]| sd),
         jitter_ps: ready.jitter_ps,
         gain_sd: profile.gain_sd,
@@ -345,7 +346,7 @@ impl Deconvolve {
             jitter_ps: profile.jitter_ps.hypot(flight.drift_sd_ps),
             flight,
             response: Arc::clone(&tools.response.as_ref().expect("taken up above").1),
-            width_sd: calibrated.width_sd,
+            width: calibrated.width,
             unpiled,
             polarity: calibrated.polarity,
             power_ratio: profile.reference_v_ps.and_then(power),
@@ -362,7 +363,7 @@ impl Deconvolve {
             baseline: if self.signed { Baseline::Constant } else { Baseline::Line },
             signed: self.signed,
             extent_max_ps: self.extent_max_ps.get(),
-            width_sd: ready.width_sd,
+            width_sd: ready.width[1],
             cancel: cancel.clone(),
         }
     }

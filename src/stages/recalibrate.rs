@@ -10,7 +10,7 @@
 //!
 //! Takes `profiles` and `calibration`; writes `calibration`, every row of it, with `scene_width`, `scene_width_sd` and
 //! `scene_evidence` where it corrected one. Set `extent_max_ps` as in `deconvolve`: where light may be spread in time,
-//! a wider response is not sought. At most [`PROFILES_MAX`] profiles of a sensor and range are used, the first ones; an
+//! only a narrower response is sought. At most [`PROFILES_MAX`] profiles of a sensor and range are used, the first ones; an
 //! `ingest` of its own with `captures_max` keeps the rest of the pipeline streaming.
 //!
 //! Not modelled: counters, steps, and responses that change through a session stay as they are. A response that arrives
@@ -50,6 +50,9 @@ pub const PROFILES_MAX: usize = 256;
 /// Rounds, and what a pulse must be worth in each as a share of the strongest: what an error of the response makes of
 /// this one is less at first, and is corrected before it could be taken for light.
 const LEAST_SHARES: [f64; 4] = [1e-2, 1e-3, 0.0, 0.0];
+
+/// Share of the maximum below which a corrected response ends.
+const NEGLIGIBLE: f64 = 1e-4;
 
 /// Parameters of `recalibrate`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -204,8 +207,10 @@ impl Recalibrate {
 fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response, own: &OwnResponse) -> Calibration {
     let (first_ps, last_ps) = response.support_ps();
     let (first, last) = ((first_ps / row.step_ps).floor(), (last_ps / row.step_ps).ceil());
-    let height = calibrated.polarity / response.height();
-    let values = (0..=(last - first) as usize).map(|n| height * response.value((first + n as f64) * row.step_ps));
+    let height = response.height();
+    let value = |n: f64| response.value(n * row.step_ps) / height;
+    let behind = (0..=(last - first) as usize).rev().find(|n| value(first + *n as f64).abs() > NEGLIGIBLE);
+    let values = (0..=behind.unwrap_or(0) + 1).map(|n| calibrated.polarity * value(first + n as f64));
     let [width, sd] = own.width;
     Calibration {
         response_t0_ps: first * row.step_ps,

@@ -109,6 +109,10 @@ pub trait Source: Send + Sync {
     fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson>;
     /// Its table.
     fn table(&self) -> WrittenTable;
+    /// Whether `other` reads the same captures and more: then it tells what is wrong with them.
+    fn is_sample_of(&self, _other: &dyn Source) -> bool {
+        false
+    }
     /// Surveys the campaigns: its parts, in order. What it learns of raw files it may note down in the folder `notes`.
     ///
     /// # Errors

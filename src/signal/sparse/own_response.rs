@@ -6,9 +6,9 @@
 //!
 //! Model: `h + sum_j c_j e_j` in the place of h, with small coefficients c of given standard deviations about 0. The
 //! shapes e are the derivative by the logarithm of the width, copies of the response at delays, and the response behind
-//! exponential tails. Each record is fitted with its pulses; the residual's products with the shapes, freed of what times,
-//! amplitudes and ground of the record can imitate, add up to the normal equations of c. All is Gaussian, so that the
-//! marginal likelihoods of three models are known in closed form: the calibration stands, its width is another, its
+//! exponential tails. Each record is fitted with its pulses; the residual's products with the shapes, freed of what
+//! times, amplitudes and ground of the record can imitate, add up to the normal equations of c. All is Gaussian, so that
+//! the marginal likelihoods of three models are known in closed form: the calibration stands, its width is another, its
 //! shape is another.
 //!
 //! A correction counts if it is as large in all records: patches that spread light each in their own way, and bounces
@@ -27,8 +27,6 @@ use super::{FALSE_PULSES, Profile, Response, SparseOptions, WIDTH_SD};
 /// Distance of the copies of the response, in widths, and their number.
 const DELAY_WIDTHS: f64 = 0.5;
 const DELAYS: usize = 16;
-/// Copies that look like light which a patch spreads in time.
-const SPREAD_DELAYS: usize = 3;
 /// Constants of the tails, in widths, and how many of these a tail is followed.
 const TAILS_WIDTHS: [f64; 3] = [2.0, 4.0, 8.0];
 const TAIL_REACH: f64 = 6.0;
@@ -90,15 +88,14 @@ impl OwnResponse {
 
 impl ResponseErrors {
     /// Of a pulse's response; `may_spread` where light may be spread in time ([`SparseOptions::extent_max_ps`]): then
-    /// what looks like that is not sought. `None` for a step's response.
+    /// only a narrower response is sought, since all else may be the patches' light. `None` for a step's response.
     #[must_use]
     pub fn new(response: &Response, may_spread: bool) -> Option<Self> {
         if response.is_step() {
             return None;
         }
         let width_ps = response.width_ps();
-        let first = if may_spread { SPREAD_DELAYS + 1 } else { 1 };
-        let echoes = (first..=DELAYS).map(|j| response.delayed(j as f64 * DELAY_WIDTHS * width_ps));
+        let echoes = (1..=DELAYS).map(|j| response.delayed(j as f64 * DELAY_WIDTHS * width_ps));
         let tails = TAILS_WIDTHS.iter().map(|widths| tailed(response, widths * width_ps));
         let shapes: Vec<Response> = std::iter::once(stretching(response)).chain(echoes).chain(tails).collect();
         let sds = (0..shapes.len()).map(|j| match j {
@@ -192,11 +189,10 @@ impl ResponseErrors {
             all.gradient.iter_mut().zip(&score.gradient).for_each(|(sum, value)| *sum += value);
         }
         let every: Vec<usize> = (0..shapes).collect();
-        let may_stretch = |found: &OwnResponse| !self.may_spread || found.coefficients[0] <= 0.0;
-        let width = self.posterior(&all, &every[..1]).filter(may_stretch);
-        let shape = self.posterior(&all, &every).filter(may_stretch).or_else(|| self.posterior(&all, &every[1..]));
-        let of_width = width.as_ref().map_or(0.0, |found| found.gain);
-        let shape = shape.filter(|found| found.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);
+        let width = self.posterior(&all, &every[..1]).filter(|own| !self.may_spread || own.coefficients[0] < 0.0);
+        let of_width = width.as_ref().map_or(0.0, |own| own.gain);
+        let shape = self.posterior(&all, &every).filter(|_| !self.may_spread);
+        let shape = shape.filter(|own| own.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);
         let mut found = shape.or(width).filter(|found| found.gain > LEAST_GAIN)?;
         let sizes: Vec<(f64, f64)> = scores.iter().filter_map(|score| score.size_along(&found.coefficients)).collect();
         found.spread = spread(&sizes)?;
@@ -204,7 +200,7 @@ impl ResponseErrors {
         Some(found)
     }
 
-    /// The likeliest coefficients of the shapes `open`, the others 0.
+    /// The likeliest coefficients of the first shapes, those `open`, the others 0.
     fn posterior(&self, score: &ResponseScore, open: &[usize]) -> Option<OwnResponse> {
         let (shapes, count) = (self.shapes.len(), open.len());
         // In units of the standard deviations before.
@@ -220,14 +216,14 @@ impl ResponseErrors {
         factor.solve_upper(&mut half);
         let mut coefficients = self.none();
         open.iter().zip(&half).for_each(|(j, value)| coefficients[*j] = self.sds[*j] * value);
-        let of_width = if open[0] == 0 { factor.inverse()[0].sqrt() } else { 1.0 };
-        let width = [coefficients[0].exp(), self.sds[0] * of_width];
+        let width = [coefficients[0].exp(), self.sds[0] * factor.inverse()[0].sqrt()];
         Some(OwnResponse { coefficients, width, gain, spread: [0.0; 2] })
     }
 }
 
 impl ResponseScore {
-    /// Size of a correction in this record, over the given one's, and the weight of that; `None` where it tells nothing.
+    /// Size of a correction in this record, over the given one's, and the weight of that; `None` where it tells
+    /// nothing.
     fn size_along(&self, coefficients: &[f64]) -> Option<(f64, f64)> {
         let dot = |a: &[f64]| a.iter().zip(coefficients).map(|(a, b)| a * b).sum::<f64>();
         let weight: f64 =

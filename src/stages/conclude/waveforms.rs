@@ -1,10 +1,9 @@
-//! Whether pulses, noise and baseline explain the profiles, whether pulses have the width of the calibration, and what
-//! the scene corrected of it.
+//! Whether pulses, noise and baseline explain the profiles, and whether pulses have the width of the calibration.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::decision;
-use crate::tables::{Calibration, Decision, Name, Onset};
+use crate::tables::{Decision, Name, Onset};
 
 /// Share of profiles that noise alone makes a misfit, at most; and as many are none of their own.
 const BY_CHANCE: f64 = 0.02;
@@ -43,25 +42,6 @@ pub(super) fn decisions(onsets: &[Onset]) -> Vec<Decision> {
     let mut rows = vec![decision("waveforms", &chosen, &evidence, text)];
     rows.extend(widths(onsets).into_iter().map(|(sensor, width)| width.decision(sensor)));
     rows
-}
-
-/// Responses that the scene's own pulses corrected.
-pub(super) fn corrections(calibration: &[Calibration]) -> impl Iterator<Item = Decision> {
-    calibration.iter().filter_map(|row| {
-        let (width, sd, evidence) = (row.scene_width?, row.scene_width_sd?, row.scene_evidence?);
-        let range = row.range.as_ref().map(|range| format!(" at range {range}")).unwrap_or_default();
-        let percent = 1e2 * (width - 1.0).abs();
-        let chosen = if (width - 1.0).abs() < CLAIM_SHARE.max(CLAIM_SIGMA * sd) {
-            "corrected: pulses of the scene have another echo or tail".to_owned()
-        } else {
-            let wider = if width > 1.0 { "wider" } else { "narrower" };
-            format!("corrected: pulses of the scene are {percent:.1} % {wider}")
-        };
-        let evidence =
-            format!("width {width:.4} of the calibration's with sd {sd:.4}; likelihood e^{evidence:.0} times as large");
-        let text = "response captures with the same setting and on the same day";
-        Some(decision(&format!("calibration of {}{range}", row.sensor), &chosen, &evidence, text))
-    })
 }
 
 /// Width of a sensor's response over the calibration's.

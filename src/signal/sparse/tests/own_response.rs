@@ -35,7 +35,7 @@ fn records(own: impl Fn(f64, usize) -> f64, snr: f64, count: usize, seed: u64) -
 }
 
 /// What they say of the calibration's response, in four rounds.
-fn found(records: &[Vec<f64>], snr: f64, options: &SparseOptions) -> Option<OwnResponse> {
+fn own_response(records: &[Vec<f64>], snr: f64, options: &SparseOptions) -> Option<OwnResponse> {
     let sd_v = [1.0 / snr; SAMPLES];
     let errors = ResponseErrors::new(&calibrated(), options.extent_max_ps > 0.0).expect("it is a pulse");
     let mut last: Option<OwnResponse> = None;
@@ -55,15 +55,12 @@ fn another_width_is_found_within_its_error() {
     let options = SparseOptions::default();
     for (snr, factor) in [(50.0, 0.95), (50.0, 1.05), (200.0, 0.98), (200.0, 1.02), (200.0, 1.05)] {
         for seed in 0..3 {
-            let found = found(&records(|t, _| diode(t / factor), snr, 60, seed), snr, &options).expect("it shows");
-            let [width, sd] = found.width;
+            let own = own_response(&records(|t, _| diode(t / factor), snr, 60, seed), snr, &options).expect("it shows");
+            let [width, sd] = own.width;
             let of_calibration = calibrated().width_ps();
-            let shown = ResponseErrors::new(&calibrated(), false).unwrap().response(&found.coefficients).width_ps();
-            assert!((width - factor).abs() < 3.0 * sd && sd < 0.6 / snr, "{snr}, {factor}: {found:?}");
-            assert!(
-                (shown / of_calibration - factor).abs() < 3.0 * sd && found.is_common(),
-                "{snr}, {factor}: {found:?}"
-            );
+            let shown = ResponseErrors::new(&calibrated(), false).unwrap().response(&own.coefficients).width_ps();
+            assert!((width - factor).abs() < 3.0 * sd && sd < 0.6 / snr, "{snr}, {factor}: {own:?}");
+            assert!((shown / of_calibration - factor).abs() < 3.0 * sd && own.is_common(), "{snr}, {factor}: {own:?}");
         }
     }
 }
@@ -75,13 +72,13 @@ fn an_echo_and_a_tail_are_found() {
     let echoing = |t: f64| diode(t) + 0.01 * diode(t - 600.0);
     let tailed = |t: f64| diode(t) + 0.01 * (-t.max(0.0) / 1000.0).exp() * (1.0 - (-t.max(0.0) / 40.0).exp());
     for seed in 0..3 {
-        for own in [&echoing as &dyn Fn(f64) -> f64, &tailed] {
-            let found = found(&records(|t, _| own(t), 200.0, 60, seed), 200.0, &options).expect("it shows");
-            let shown = errors.response(&found.coefficients);
+        for shape in [&echoing as &dyn Fn(f64) -> f64, &tailed] {
+            let own = own_response(&records(|t, _| shape(t), 200.0, 60, seed), 200.0, &options).expect("it shows");
+            let shown = errors.response(&own.coefficients);
             // How high a response is, its pulses' amplitudes say.
-            let off = |t: f64| (shown.value(t) / shown.value(0.0) - own(t) / own(0.0)).abs();
+            let off = |t: f64| (shown.value(t) / shown.value(0.0) - shape(t) / shape(0.0)).abs();
             let off = (0..40).map(|n| off(f64::from(n) * DT_PS)).fold(0.0, f64::max);
-            assert!(found.is_common() && off < 0.003, "{off}: {found:?}");
+            assert!(own.is_common() && off < 0.003, "{off}: {own:?}");
         }
     }
 }
@@ -92,15 +89,15 @@ fn what_is_not_the_sensors_is_left_alone() {
     let options = SparseOptions::default();
     for seed in 0..3 {
         for snr in [20.0, 200.0] {
-            let found = found(&records(|t, _| diode(t), snr, 60, seed), snr, &options);
-            assert!(found.is_none(), "{snr}: {found:?}");
+            let own = own_response(&records(|t, _| diode(t), snr, 60, seed), snr, &options);
+            assert!(own.is_none(), "{snr}: {own:?}");
         }
         let spread = records(|t, k| diode(t / (1.0 + 0.02 * (k % 6) as f64)), 200.0, 60, seed);
-        let as_points = found(&spread, 200.0, &options);
-        assert!(as_points.as_ref().is_none_or(|found| !found.is_common()), "{as_points:?}");
-        let as_spread = found(&spread, 200.0, &SparseOptions { extent_max_ps: 100.0, ..options.clone() });
-        assert!(as_spread.as_ref().is_none_or(|found| !found.is_common()), "{as_spread:?}");
+        let as_points = own_response(&spread, 200.0, &options);
+        assert!(as_points.as_ref().is_none_or(|own| !own.is_common()), "{as_points:?}");
+        let as_spread = own_response(&spread, 200.0, &SparseOptions { extent_max_ps: 100.0, ..options.clone() });
+        assert!(as_spread.as_ref().is_none_or(|own| !own.is_common()), "{as_spread:?}");
     }
     let few = records(|t, _| diode(t / 1.05), 200.0, 5, 0);
-    assert!(found(&few, 200.0, &options).is_none());
+    assert!(own_response(&few, 200.0, &options).is_none());
 }
