@@ -6,7 +6,7 @@
 //!
 //! | not in the table | taken |
 //! |---|---|
-//! | whether the stage stretched the response | of the calibration's width and that of `response_width`, whichever fits better |
+//! | whether the stage stretched the response, and by how much | of the calibration's width and that of `response_width`, whichever fits better; where neither comes near the chi-square of the stage, the width near the latter that fits best |
 //! | an exponential tail of the light apart from its width | a Gaussian, or a disk, of the whole width |
 //! | the number of components of a moving baseline (`ground_v`) | as many as the stage tries, with equal variances |
 
@@ -22,6 +22,12 @@ use crate::tables::{Impulse, Profile, Session};
 
 /// Standard deviation of the logarithm of the width's factor before a profile is seen, as the stage takes it.
 const WIDTH_SD: f64 = 0.03;
+/// Chi-square over that of the stage from which another width is looked for, how far to either side (as a logarithm),
+/// and in how many steps.
+const FAR_OFF: f64 = 1.1;
+const WIDTH_REACH: f64 = 0.05;
+const WIDTH_STEPS: usize = 16;
+const GOLDEN: f64 = 0.618_033_988_75;
 /// Components of a moving baseline at most, and samples to each.
 const COMPONENTS_MAX: usize = 64;
 const SAMPLES_PER_COMPONENT: usize = 8;
@@ -30,6 +36,8 @@ const SAMPLES_PER_COMPONENT: usize = 8;
 pub struct Explanation<'a> {
     /// Its pulses.
     pub impulses: &'a [Impulse],
+    /// Its chi-square over degrees of freedom.
+    pub chi2_dof: f64,
     /// Width of the response over the calibration's, and its standard deviation.
     pub width: Option<[f64; 2]>,
     /// Standard deviation of a baseline that moves.
@@ -71,9 +79,8 @@ impl Curve {
             flight.acf = vec![1.0];
         }
         let (response, polarity) = (sensor.1.averaged(profile), sensor.1.polarity);
-        let candidates = responses(&response, explanation.width).into_iter();
-        let fit = |response: Response| Fit::new(&flight, &response, polarity, explanation, unpiled.as_ref());
-        let best = candidates.map(fit).min_by(|a, b| a.chi2_dof.total_cmp(&b.chi2_dof))?;
+        let fit = |factor: f64| Fit::new(&flight, &response.stretched(factor), polarity, explanation, unpiled.as_ref());
+        let best = likeliest(fit, explanation);
         let signed = |values: Vec<f64>| values.into_iter().map(|value| polarity * value).collect();
         Some(Self {
             t0_ps: flight.t0_ps,
@@ -91,14 +98,29 @@ fn unpiled(counts: &[i32], cycles: i64, dead_bins: f64) -> Option<Unpiled> {
     Unpiled::new(&counts, u64::try_from(cycles).ok()?, dead_bins.round() as usize).ok()
 }
 
-/// The response as calibrated, and as wide as the profile shows it, drawn towards the calibration as by the stage.
-fn responses(response: &Response, width: Option<[f64; 2]>) -> Vec<Response> {
-    let shrunk = |[factor, sd]: [f64; 2]| {
-        let (own, prior) = (sd.powi(-2), WIDTH_SD.powi(-2));
-        (factor.ln() * own / (own + prior)).exp()
-    };
-    let stretched = width.map(shrunk).filter(|factor| factor.is_finite() && *factor > 0.0);
-    std::iter::once(response.clone()).chain(stretched.map(|factor| response.stretched(factor))).collect()
+/// The fit with the response as calibrated, or as wide as the profile shows it, drawn towards the calibration as by the
+/// stage.
+fn likeliest(fit: impl Fn(f64) -> Fit, explanation: &Explanation<'_>) -> Fit {
+    let as_calibrated = fit(1.0);
+    let Some([factor, sd]) = explanation.width else { return as_calibrated };
+    let (own, prior) = (sd.powi(-2), WIDTH_SD.powi(-2));
+    let stretch = factor.ln() * own / (own + prior);
+    if !stretch.is_finite() {
+        return as_calibrated;
+    }
+    let better = |one: Fit, other: Fit| if other.chi2_dof < one.chi2_dof { other } else { one };
+    let best = better(as_calibrated, fit(stretch.exp()));
+    if best.chi2_dof < FAR_OFF * explanation.chi2_dof {
+        return best;
+    }
+    // By the golden section: a record of a large signal tells the width to a part of 10,000.
+    let (mut low, mut high) = (stretch - WIDTH_REACH, stretch + WIDTH_REACH);
+    for _ in 0..WIDTH_STEPS {
+        let inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)];
+        let [first, second] = inner.map(|stretch| fit(stretch.exp()).chi2_dof);
+        if first < second { high = inner[1] } else { low = inner[0] }
+    }
+    better(best, fit(f64::midpoint(low, high).exp()))
 }
 
 /// The sum of pulses with one response, over the samples of a record.
@@ -306,7 +328,7 @@ mod tests {
             0.05 + 1e-4 * n as f64 - bell(time_ps - 3000.0) - 0.4 * bell(time_ps - 3111.3)
         };
         let record_v: Vec<f64> = (0..LEN).map(naive_v).collect();
-        let explanation = Explanation { impulses: &impulses, width: Some([1.2, 0.001]), ground_v: 0.0 };
+        let explanation = Explanation { impulses: &impulses, chi2_dof: 1.0, width: Some([1.2, 0.001]), ground_v: 0.0 };
         let curve = Curve::of(&profile(&record_v, 0.001), (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap();
         assert_eq!(curve.t0_ps, T0_PS - 500.0);
         for (n, fitted_v) in curve.fitted_v.iter().enumerate() {
@@ -316,12 +338,25 @@ mod tests {
         assert!(curve.chi2_dof < 1e-3, "{}", curve.chi2_dof);
     }
 
+    /// A record of a response of 0.9 of the calibration's width, which the table gives to a hundredth only.
+    #[test]
+    fn a_width_that_the_table_rounds_is_looked_for() {
+        let impulses = [impulse(3000.0, -1.0, 0.0)];
+        let narrow_v = |n: usize| -bell((T0_PS - 500.0 + n as f64 * DT_PS - 3000.0) / 0.9);
+        let record_v: Vec<f64> = (0..LEN).map(narrow_v).collect();
+        let explanation =
+            Explanation { impulses: &impulses, chi2_dof: 1.0, width: Some([0.91, 0.000_5]), ground_v: 0.0 };
+        let curve =
+            Curve::of(&profile(&record_v, 0.000_5), (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap();
+        assert!(curve.chi2_dof < 0.1, "{}", curve.chi2_dof);
+    }
+
     #[test]
     fn slow_noise_is_no_residual() {
         let wave_v = |n: usize| 0.02 * component(3, n as f64, LEN);
         let record_v: Vec<f64> = (0..LEN).map(wave_v).collect();
         let mut profile = profile(&record_v, 0.001);
-        let explanation = Explanation { impulses: &[], width: None, ground_v: 0.0 };
+        let explanation = Explanation { impulses: &[], chi2_dof: 1.0, width: None, ground_v: 0.0 };
         let curve = |profile: &Profile| {
             Curve::of(profile, (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap().chi2_dof
         };

@@ -1,5 +1,5 @@
-//! How the answer grew: what each run knew that left other positions than the one before it. Tables of earlier runs stay
-//! in the result folder until `periscope prune`.
+//! How the answer grew: what each run knew that left other positions than the one before it. Tables of earlier runs
+//! stay in the result folder until `periscope tables --prune`.
 
 use std::path::{Path, PathBuf};
 

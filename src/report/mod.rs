@@ -1,6 +1,6 @@
 //! What a result folder says, for the eye: one page of HTML ([`page`]) and figures for a paper ([`figures`]). Both draw
-//! what [`Report::of`] reads from the tables. Only the fitted curves are no rows of a table: stored pulses and responses
-//! draw them (`curve`).
+//! what [`Report::of`] reads from the tables. Only the fitted curves are no rows of a table: stored pulses and
+//! responses draw them (`curve`).
 //!
 //! | file | section |
 //! |---|---|

@@ -26,8 +26,8 @@ impl<'a> Sources<'a> {
         Self { ancestry, answer }
     }
 
-    /// The table of this name that goes with the answer: made by the same work, or by the work whose positions that work
-    /// took over; else the nearest that the answer was made from, else the last in the dataflow.
+    /// The table of this name that goes with the answer: made by the same work, or by the work whose positions that
+    /// work took over; else the nearest that the answer was made from, else the last in the dataflow.
     pub fn table(&self, name: &str) -> Option<Table> {
         let mut positions = self.answer.clone();
         while let Some(table) = positions {

@@ -195,12 +195,13 @@ impl Waveforms {
 impl Instrument<'_> {
     /// The curve through a profile; `None` where its sensor is not calibrated, or no pulses were fitted.
     fn curve(&self, row: &Profile, explained: &Explained) -> Option<Curve> {
-        explained.chi2_dof?;
+        let chi2_dof = explained.chi2_dof?;
         let campaign = self.campaigns.by_name.get(&*row.campaign);
         let dead_time_ps = campaign.and_then(|campaign| campaign.sensors.get(&*row.sensor)?.dead_time_ps);
         let period_ps = campaign.and_then(|campaign| campaign.repetition_ps);
         let explanation = Explanation {
             impulses: &explained.impulses,
+            chi2_dof,
             width: explained.response_width.zip(explained.response_width_sd).map(|(factor, sd)| [factor, sd]),
             ground_v: explained.ground_v,
         };

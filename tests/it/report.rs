@@ -137,8 +137,10 @@ fn a_wrong_response_is_not_explained_at_first_sight() {
     assert!(head.contains("class=\"verdict bad\"") && head.contains(" Not explained</p>"), "{head}");
     assert!(head.contains("do not trust the positions") && head.contains("waveforms: not explained in"), "{head}");
     // What the waveforms leave is to be seen, too: residuals far beyond noise.
-    let largest = records(&own).values().flat_map(|record| numbers(&record["residual"])).fold(0.0, f64::max);
-    assert!(largest > 6.0, "{largest}");
+    let residuals = records(&own);
+    let residuals = residuals.values().flat_map(|record| numbers(&record["residual"]));
+    let largest = residuals.map(f64::abs).fold(0.0, f64::max);
+    assert!(largest > 5.0, "{largest}");
 }
 
 #[test]
@@ -198,10 +200,10 @@ fn fitted_curves_are_sums_of_responses_and_leave_noise() {
         let [time, fit, mean, error, residual] =
             ["time", "fit", "mean", "error", "residual"].map(|name| numbers(&record[name]));
         for n in 0..time.len() {
-            assert!(
-                (residual[n] - (mean[n] - fit[n]) / error[n]).abs() < 0.06 * residual[n].abs() + 0.6,
-                "{n}: {residual:?}"
-            );
+            // Values in the page have four digits, errors two.
+            let rounding = 0.06 * residual[n].abs() + 1.1e-3 * mean[n].abs() / error[n] + 0.02;
+            let off = residual[n] - (mean[n] - fit[n]) / error[n];
+            assert!(off.abs() < rounding, "{n}: off by {off}");
         }
         let chi2 = residual.iter().map(|value| value * value).sum::<f64>() / residual.len() as f64;
         mean_squares.push(chi2 / row.chi2_dof.unwrap());
@@ -221,7 +223,8 @@ fn fitted_curves_are_sums_of_responses_and_leave_noise() {
     // What the curves leave is what `deconvolve` found, which took the correlation of noise into account.
     mean_squares.sort_by(f64::total_cmp);
     let (least, median) = (mean_squares[0], mean_squares[mean_squares.len() / 2]);
-    assert!((0.85..1.2).contains(&median) && least > 0.5, "{mean_squares:?}");
+    // A window around one pulse has few samples.
+    assert!((0.85..1.2).contains(&median) && least > 0.25, "{mean_squares:?}");
     assert!(mean_squares[mean_squares.len() - 1] < 2.0, "{mean_squares:?}");
 }
 

@@ -55,8 +55,8 @@ const keepLabelsApart = (plot) => {
     const placed = placeLabels(plot, texts);
     if (!placed) return;
     const traces = [...placed.keys()], of = (key) => traces.map((trace) => placed.get(trace)[key]);
-    // A list of one side is not taken.
-    const sides = of("side").map((sides) => (sides.length === 1 ? sides[0] : sides));
+    // A list of one or two sides would be taken for one offset of all.
+    const sides = of("side").map((sides) => [...sides, ...Array(Math.max(0, 3 - sides.length)).fill(labelSides[0])]);
     Plotly.restyle(plot, { text: of("text"), textposition: sides }, traces);
   };
   const soon = () => { clearTimeout(timer); timer = setTimeout(place, 150); };

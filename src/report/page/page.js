@@ -55,7 +55,11 @@
   const draw = async (plot) => {
     if (drawn.has(plot)) return;
     if (plot === viewer) { choose(choice.value); return; }
-    await show(plot, parsed(plot.id + "-data"));
+    const figure = parsed(plot.id + "-data");
+    // A narrow figure shows as much of the scene from farther away.
+    const eye = figure.layout.scene?.camera?.eye;
+    if (eye && plot.clientWidth < 600) for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
+    await show(plot, figure);
     if (plot.id !== "scene") return;
     plot.on("plotly_click", ({ points }) => {
       const id = points[0].id ?? points[0].data.ids?.[points[0].pointNumber];

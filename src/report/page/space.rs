@@ -1,5 +1,5 @@
-//! The scene in space, to be turned: patches as disks with their error ellipsoids, planes and walls, surfaces, laser and
-//! sensors, paths of light. `labels.js` sees to it that numbers do not collide.
+//! The scene in space, to be turned: patches as disks with their error ellipsoids, planes and walls, surfaces, laser
+//! and sensors, paths of light. `labels.js` sees to it that numbers do not collide.
 
 mod meshes;
 

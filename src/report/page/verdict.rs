@@ -9,8 +9,9 @@ use crate::report::verdict::{Goodness, Word};
 
 /// Reasons that are listed at most.
 const REASONS: usize = 6;
-/// Smaller chances are not told apart.
+/// Smaller and larger chances are not told apart.
 const LEAST_CHANCE: f64 = 1e-6;
+const MOST_CHANCE: f64 = 0.99;
 
 /// The verdict, in a box whose colour and mark say the same as its word.
 pub fn verdict(report: &Report) -> Markup {
@@ -42,8 +43,8 @@ fn fit(goodness: &Goodness) -> Markup {
     html! {
         strong { (sig(goodness.chi2 / goodness.freedom as f64, 3)) }
         " (chi-square " (sig(goodness.chi2, 4)) ", " (count(goodness.freedom, "degree", "degrees")) " of freedom), p-value "
-        strong { @if p_value < LEAST_CHANCE { "below 1e-6" } @else { (sig(p_value, 2)) } }
-        @if goodness.is_widened { ", after standard deviations were made larger for what the model does not explain" }
+        @if p_value < LEAST_CHANCE { "below 1e-6" } @else if p_value > MOST_CHANCE { "above 0.99" } @else { (sig(p_value, 2)) }
+        @if goodness.is_widened { "; only after standard deviations were made larger for what the model does not explain" }
         @else if p_value < 1e-3 { ": a right model leaves as much in fewer than one campaign of 1,000" }
     }
 }
