@@ -7,7 +7,6 @@
 //! | not in the table | taken |
 //! |---|---|
 //! | whether the stage stretched the response, and by how much | of the calibration's width and that of `response_width`, whichever fits better; where neither comes near the chi-square of the stage, the width near the latter that fits best |
-//! | an exponential tail of the light apart from its width | a Gaussian, or a disk, of the whole width |
 //! | the number of components of a moving baseline (`ground_v`) | as many as the stage tries, with equal variances |
 
 use crate::priors::calibration::{self, Calibrated};
@@ -136,12 +135,14 @@ pub fn pulses_v(impulses: &[Impulse], response: &Response, polarity: f64, flight
 }
 
 fn pulse(impulse: &Impulse, polarity: f64) -> Pulse {
+    let tail_ps = impulse.tail_ps.unwrap_or(0.0);
     Pulse {
         time_ps: impulse.time_ps,
-        width_ps: impulse.width_ps,
+        // The table has a Gaussian and the tail behind it together.
+        width_ps: (impulse.width_ps * impulse.width_ps - tail_ps * tail_ps).max(0.0).sqrt(),
         kurtosis: impulse.width_kurtosis.unwrap_or(0.0),
         width_sd_ps: impulse.width_sd_ps.unwrap_or(0.0),
-        tail_ps: 0.0,
+        tail_ps,
         tail_sd_ps: 0.0,
         amplitude_v: polarity * impulse.amplitude_v,
         amplitude_sd_v: impulse.amplitude_sd_v,
@@ -277,6 +278,7 @@ mod tests {
             misfit_factor: 1.0,
             width_sd_ps: None,
             width_kurtosis: (width_ps > 0.0).then_some(0.0),
+            tail_ps: None,
             pair: None,
         }
     }
@@ -291,6 +293,23 @@ mod tests {
             let wide = 80.0 / 100.0 * (-0.5 * ((time_ps - 7012.5) / 100.0).powi(2)).exp();
             let naive_v = bell(time_ps - 3000.0) + 0.4 * bell(time_ps - 3111.3) + 0.2 * wide;
             assert!((sum_v - naive_v).abs() < 2e-4, "{sum_v} at {time_ps}, {naive_v} by hand");
+        }
+    }
+
+    /// Against the integral of bells that decay, by small steps; the centroid stays.
+    #[test]
+    fn a_tail_is_the_integral_of_later_pulses() {
+        let (width_ps, tail_ps) = (50.0, 40.0);
+        let impulses = [Impulse { tail_ps: Some(tail_ps), ..impulse(3000.0, -1.0, width_ps) }];
+        let sum_v = pulses_v(&impulses, &response(), -1.0, (T0_PS, DT_PS, LEN));
+        let sigma_ps = 80.0_f64.hypot(30.0);
+        let bell = |time_ps: f64| 80.0 / sigma_ps * (-0.5 * (time_ps / sigma_ps).powi(2)).exp();
+        let decay = |after_ps: f64| (-after_ps / tail_ps).exp() / tail_ps;
+        for (n, sum_v) in sum_v.iter().enumerate() {
+            let time_ps = T0_PS + n as f64 * DT_PS - 3000.0;
+            let later = |k: i32| 0.5 * (f64::from(k) + 0.5);
+            let naive_v: f64 = (0..1600).map(|k| 0.5 * decay(later(k)) * bell(time_ps + tail_ps - later(k))).sum();
+            assert!((sum_v - naive_v).abs() < 1e-3, "{sum_v} at {time_ps}, {naive_v} by hand");
         }
     }
 

@@ -147,10 +147,7 @@ fn note(waveform: &Waveform) -> String {
     let drawn =
         waveform.drawn_chi2_dof.zip(waveform.chi2_dof).filter(|(drawn, chi2)| (drawn / chi2 - 1.0).abs() > FAITHFUL);
     let drawn = drawn.map_or(String::new(), |(drawn, _)| {
-        format!(
-            " The curve drawn here has {}: the table does not keep all of its shape (light with a tail).",
-            sig(drawn, 3)
-        )
+        format!(" The curve drawn here has {}: the table does not keep all of its shape.", sig(drawn, 3))
     });
     let shots = count(waveform.shots as usize, "valid shot", "valid shots");
     format!("{pulses}{chi2}, {shots}, {} rejected{when}.{drawn}", waveform.rejected)
