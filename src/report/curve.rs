@@ -6,7 +6,7 @@
 //!
 //! | not in the table | taken |
 //! |---|---|
-//! | whether the stage stretched the response, and by how much | of the calibration's width and that of `response_width`, whichever fits better; where neither comes near the chi-square of the stage, the width near the latter that fits best |
+//! | whether the stage stretched the response, and by how much | of the calibration's width and that of `response_width`, whichever fits better; where neither comes near the chi-square of the stage, the width that fits best |
 //! | the number of components of a moving baseline (`ground_v`) | as many as the stage tries, with equal variances |
 
 use crate::priors::calibration::{self, Calibrated};
@@ -21,11 +21,12 @@ use crate::tables::{Impulse, Profile, Session};
 
 /// Standard deviation of the logarithm of the width's factor before a profile is seen, as the stage takes it.
 const WIDTH_SD: f64 = 0.03;
-/// Chi-square over that of the stage from which another width is looked for, how far to either side (as a logarithm),
-/// and in how many steps.
+/// Chi-square over that of the stage from which other widths are tried; logarithms of the least and the largest, and
+/// steps between them and within one.
 const FAR_OFF: f64 = 1.1;
-const WIDTH_REACH: f64 = 0.05;
-const WIDTH_STEPS: usize = 16;
+const WIDTHS: [f64; 2] = [-0.4, 0.2];
+const WIDTH_STEP: f64 = 0.02;
+const SECTIONS: usize = 14;
 const GOLDEN: f64 = 0.618_033_988_75;
 /// Components of a moving baseline at most, and samples to each.
 const COMPONENTS_MAX: usize = 64;
@@ -98,26 +99,29 @@ fn unpiled(counts: &[i32], cycles: i64, dead_bins: f64) -> Option<Unpiled> {
 }
 
 /// The fit with the response as calibrated, or as wide as the profile shows it, drawn towards the calibration as by the
-/// stage.
+/// stage; else with that of the width that fits best.
 fn likeliest(fit: impl Fn(f64) -> Fit, explanation: &Explanation<'_>) -> Fit {
-    let as_calibrated = fit(1.0);
-    let Some([factor, sd]) = explanation.width else { return as_calibrated };
-    let (own, prior) = (sd.powi(-2), WIDTH_SD.powi(-2));
-    let stretch = factor.ln() * own / (own + prior);
-    if !stretch.is_finite() {
-        return as_calibrated;
-    }
     let better = |one: Fit, other: Fit| if other.chi2_dof < one.chi2_dof { other } else { one };
-    let best = better(as_calibrated, fit(stretch.exp()));
+    let shrunk = |[factor, sd]: [f64; 2]| {
+        let (own, prior) = (sd.powi(-2), WIDTH_SD.powi(-2));
+        (factor.ln() * own / (own + prior)).exp()
+    };
+    let shown = explanation.width.map(shrunk).filter(|factor| factor.is_finite() && *factor > 0.0);
+    let best = shown.map(&fit).into_iter().fold(fit(1.0), better);
     if best.chi2_dof < FAR_OFF * explanation.chi2_dof {
         return best;
     }
+    let [least, most] = WIDTHS;
+    let chi2_dof = |stretch: f64| fit(stretch.exp()).chi2_dof;
+    let step = |n: u32| least + WIDTH_STEP * f64::from(n);
+    let steps = ((most - least) / WIDTH_STEP).round() as u32;
+    let coarse = (0..=steps).map(|n| (chi2_dof(step(n)), step(n))).min_by(|a, b| a.0.total_cmp(&b.0));
+    let middle = coarse.map_or(0.0, |(_, stretch)| stretch);
     // By the golden section: a record of a large signal tells the width to a part of 10,000.
-    let (mut low, mut high) = (stretch - WIDTH_REACH, stretch + WIDTH_REACH);
-    for _ in 0..WIDTH_STEPS {
+    let (mut low, mut high) = (middle - WIDTH_STEP, middle + WIDTH_STEP);
+    for _ in 0..SECTIONS {
         let inner = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)];
-        let [first, second] = inner.map(|stretch| fit(stretch.exp()).chi2_dof);
-        if first < second { high = inner[1] } else { low = inner[0] }
+        if chi2_dof(inner[0]) < chi2_dof(inner[1]) { high = inner[1] } else { low = inner[0] }
     }
     better(best, fit(f64::midpoint(low, high).exp()))
 }
@@ -357,14 +361,13 @@ mod tests {
         assert!(curve.chi2_dof < 1e-3, "{}", curve.chi2_dof);
     }
 
-    /// A record of a response of 0.9 of the calibration's width, which the table gives to a hundredth only.
+    /// A record of a response of 0.9 of the calibration's width, of which the table says nothing.
     #[test]
-    fn a_width_that_the_table_rounds_is_looked_for() {
+    fn a_width_that_the_table_lacks_is_looked_for() {
         let impulses = [impulse(3000.0, -1.0, 0.0)];
         let narrow_v = |n: usize| -bell((T0_PS - 500.0 + n as f64 * DT_PS - 3000.0) / 0.9);
         let record_v: Vec<f64> = (0..LEN).map(narrow_v).collect();
-        let explanation =
-            Explanation { impulses: &impulses, chi2_dof: 1.0, width: Some([0.91, 0.000_5]), ground_v: 0.0 };
+        let explanation = Explanation { impulses: &impulses, chi2_dof: 1.0, width: None, ground_v: 0.0 };
         let curve =
             Curve::of(&profile(&record_v, 0.000_5), (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap();
         assert!(curve.chi2_dof < 0.1, "{}", curve.chi2_dof);

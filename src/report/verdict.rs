@@ -138,8 +138,11 @@ fn of_scene(scene: &Scene) -> Vec<(Word, String)> {
         remarks.push((Word::NothingFound, "no patch has a position".to_owned()));
     }
     if remarks.is_empty() {
-        let text = "this pipeline keeps neither decisions nor a chi-square of the whole solution";
-        remarks.push((Word::Unchecked, text.to_owned()));
+        let chi2_dof = scene.patches.iter().find_map(|placed| placed.patch.chi2_dof);
+        let chi2_dof = chi2_dof.map_or(String::new(), |chi2_dof| {
+            format!("; chi-square per degree of freedom is {chi2_dof:.2}, of a number that is not kept")
+        });
+        remarks.push((Word::Unchecked, format!("this pipeline keeps neither decisions nor a row of `fits`{chi2_dof}")));
     }
     remarks
 }

@@ -6,7 +6,8 @@ const projected = (plot) => {
   const params = scene?.glplot?.cameraParams;
   if (!params || !scene.dataScale) return null;
   const times = (m, v) => [0, 1, 2, 3].map((row) => m[row] * v[0] + m[row + 4] * v[1] + m[row + 8] * v[2] + m[row + 12] * v[3]);
-  const { width, height } = plot.getBoundingClientRect();
+  // The legend takes a part of the figure.
+  const { width, height } = (scene.container ?? plot).getBoundingClientRect();
   return (x, y, z) => {
     const point = [x, y, z].map((value, axis) => value * scene.dataScale[axis]);
     const clip = times(params.projection, times(params.view, times(params.model, [...point, 1])));
@@ -15,9 +16,9 @@ const projected = (plot) => {
 };
 
 const labelBox = ([x, y], text, side) => {
-  const [width, height] = [7 * text.length + 4, 14], [up, across] = side.split(" ");
-  const left = across === "center" ? x - width / 2 : across === "right" ? x + 5 : x - 5 - width;
-  const top = up === "middle" ? y - height / 2 : up === "top" ? y - 5 - height : y + 5;
+  const [width, height, beside] = [7 * text.length + 4, 14, 10], [up, across] = side.split(" ");
+  const left = across === "center" ? x - width / 2 : across === "right" ? x + beside : x - beside - width;
+  const top = up === "middle" ? y - height / 2 : up === "top" ? y - beside - height : y + beside;
   return [left, top, left + width, top + height];
 };
 
