@@ -42,7 +42,7 @@ table! {
 pub struct Step {
     /// Start of the run (UTC).
     pub started: String,
-    /// Profiles of the scene, and the parts that hold them.
+    /// Profiles of the scene.
     pub profiles: usize,
     /// Parts that hold them.
     pub parts: usize,

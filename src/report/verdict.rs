@@ -154,9 +154,8 @@ fn of_decision(row: &Decision) -> Option<(Word, String)> {
         "fit" | "waveforms" if begins("not explained") => Word::NotExplained,
         "fit" if begins("explained but") => Word::ExplainedInPart,
         "fit" if begins("unchecked") || begins("anchors as given") => Word::Unchecked,
-        "fit" | "waveforms" => Word::Explained,
         "hidden things" if begins("nothing") || begins("cannot be told") => Word::NothingFound,
-        "hidden things" => Word::Explained,
+        "fit" | "waveforms" | "hidden things" => Word::Explained,
         what if what.starts_with("response of ") && !begins("as wide as calibrated") => Word::ExplainedInPart,
         _ => return None,
     };
