@@ -129,7 +129,6 @@ fn labels(campaign: &str, pair: [i32; 2]) -> Vec<Label> {
             width_ps: Some(0.0),
             width_sd_ps: None,
             width_kurtosis: None,
-            tail_ps: None,
             snr: onset.snr,
             turns: 0,
             bounces: if bounces <= 3 { bounces } else { 0 },
