@@ -1,22 +1,30 @@
 //! What a result folder says, for the eye: one page of HTML ([`page`]) and figures for a paper ([`figures`]). Both draw
-//! what [`Report::of`] reads from the tables; nothing is computed again.
+//! what [`Report::of`] reads from the tables. Only the fitted curves are no rows of a table: stored pulses and
+//! responses draw them (`curve`).
 //!
 //! | file | section |
 //! |---|---|
 //! | `sources` | which tables are shown? |
+//! | `campaigns` | the campaign folders behind them |
+//! | `verdict` | is the answer to be believed? |
 //! | `scene` | positions, error ellipsoids, paths of light, what is left open |
 //! | `image` | a volume image of what a wall shows, as projections |
 //! | `arrivals` | the onsets behind each patch |
 //! | `stir` | images of the space-time impulse response |
 //! | `waveforms` | chosen profiles with their error bands, impulses and labels |
+//! | `curve` | the curve that impulses draw through a profile, and what it leaves |
 //! | `responses` | the sensors |
 //! | `residuals` | what the solution leaves over |
 //! | `distances` | the matrix of distances, with its gaps |
+//! | `growth` | what earlier runs knew |
 //! | `provenance` | what was rejected; runs, their times, tables and their lineage |
 
 mod arrivals;
+mod campaigns;
+mod curve;
 mod distances;
 pub mod figures;
+mod growth;
 mod image;
 pub mod page;
 mod provenance;
@@ -25,6 +33,7 @@ mod responses;
 mod scene;
 mod sources;
 mod stir;
+mod verdict;
 mod waveforms;
 
 use std::path::Path;
@@ -34,7 +43,9 @@ use crate::history::ancestry::Ancestry;
 use crate::store::Shelf;
 
 use arrivals::Arrivals;
+use campaigns::Campaigns;
 use distances::Distances;
+use growth::Growth;
 use image::Image;
 use provenance::Provenance;
 use residuals::Residuals;
@@ -42,6 +53,7 @@ use responses::Response;
 use scene::Scene;
 use sources::Sources;
 use stir::Stir;
+use verdict::Verdict;
 use waveforms::Waveforms;
 
 /// All that is drawn. Sizes are bounded, whatever the campaign's. Each section says which part it shows, and how to see
@@ -49,6 +61,7 @@ use waveforms::Waveforms;
 pub struct Report {
     folder: String,
     provenance: Provenance,
+    verdict: Verdict,
     scene: Option<Scene>,
     image: Option<Image>,
     arrivals: Arrivals,
@@ -57,6 +70,7 @@ pub struct Report {
     responses: Vec<Response>,
     residuals: Option<Residuals>,
     distances: Option<Distances>,
+    growth: Growth,
 }
 
 impl Report {
@@ -69,13 +83,17 @@ impl Report {
         let ancestry = Ancestry::of(&shelf)?;
         let sources = Sources::of(&ancestry);
         let provenance = Provenance::of(&shelf, &ancestry)?;
+        let campaigns = Campaigns::of(&provenance);
         let arrivals = Arrivals::of(&sources)?;
+        let scene = Scene::of(&sources, &campaigns, &arrivals)?;
         Ok(Self {
             folder: out.display().to_string(),
-            scene: Scene::of(&sources, &provenance, &arrivals)?,
+            verdict: Verdict::of(&provenance, scene.as_ref(), &arrivals),
+            growth: Growth::of(&shelf, scene.as_ref().map(|scene| scene.heading.as_str()))?,
+            scene,
             image: Image::of(&sources)?,
             stir: Stir::of(&sources, &arrivals)?,
-            waveforms: Waveforms::of(&sources, &arrivals)?,
+            waveforms: Waveforms::of(&sources, &campaigns, &arrivals)?,
             responses: Response::all(&sources)?,
             residuals: Residuals::of(&sources, &arrivals)?,
             distances: Distances::of(&sources)?,

@@ -3,17 +3,21 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::arrivals::Arrivals;
-use super::provenance::Provenance;
+use super::campaigns::Campaigns;
 use super::sources::Sources;
 use super::spread;
 use crate::campaign::Campaign;
 use crate::campaign::keys::LASER;
 use crate::geometry::ellipsoid::semi_axes_m;
 use crate::history::HistoryError;
-use crate::tables::{Ambiguity, Decision, Fit, Gap, Hypothesis, Patch, Plane, Suspect};
+use crate::tables::{
+    Ambiguity, Decision, Fit, Gap, Hypothesis, JointSearch, Patch, PatchFootprint, Plane, SurfacePoint, Suspect,
+};
 
 /// Paths drawn at most.
 const RAYS: usize = 120;
+/// Points of a surface drawn at most.
+const SURFACE_POINTS: usize = 5000;
 /// Ellipsoids are drawn so much larger that the longest semi-axes, but for a tenth of the patches, are about this share
 /// of the scene.
 const ELLIPSOID_SHARE: f64 = 0.04;
@@ -82,6 +86,16 @@ pub struct Scene {
     pub gaps: Vec<Gap>,
     /// What the solution rests on.
     pub decisions: Vec<Decision>,
+    /// What a joint search of a wall's histograms came to.
+    pub searches: Vec<JointSearch>,
+    /// Disks of the patches whose size and direction are known.
+    pub footprints: Vec<PatchFootprint>,
+    /// Planes that reflect light and are no patches.
+    pub walls: Vec<Hypothesis>,
+    /// Points of hidden surfaces, a choice.
+    pub surface: Vec<SurfacePoint>,
+    /// How many of these there are.
+    pub surface_points: usize,
     /// Factor by which ellipsoids are drawn larger.
     pub ellipsoid_factor: f64,
 }
@@ -91,31 +105,18 @@ impl Scene {
     ///
     /// # Errors
     /// When a table cannot be read.
-    pub fn of(
-        sources: &Sources<'_>,
-        provenance: &Provenance,
-        arrivals: &Arrivals,
-    ) -> Result<Option<Self>, HistoryError> {
+    pub fn of(sources: &Sources<'_>, campaigns: &Campaigns, arrivals: &Arrivals) -> Result<Option<Self>, HistoryError> {
         let Some(heading) = sources.heading("patches") else { return Ok(None) };
         let (best, alternatives): (Vec<Patch>, Vec<Patch>) =
             sources.rows(|_: &Patch| true)?.into_iter().partition(|patch| patch.alternative == 0);
         let patches: Vec<Placed> = best.into_iter().map(Placed::new).collect();
         let places: BTreeMap<i32, &Placed> = patches.iter().map(|placed| (placed.patch.patch, placed)).collect();
-        let (mut campaigns, mut unread) = (BTreeMap::new(), Vec::new());
-        for (name, folder) in provenance.campaigns() {
-            match Campaign::load(folder) {
-                Ok(campaign) => drop(campaigns.insert(name, campaign)),
-                Err(error) => unread.push(format!("campaign {name}: {error:#}")),
-            }
-        }
-        let stations: BTreeMap<String, [f64; 3]> = campaigns
-            .values()
-            .flat_map(|campaign| campaign.stations.iter().map(|(name, station)| (name.clone(), station.position_m)))
-            .collect();
+        let (campaigns, unread) = (&campaigns.by_name, campaigns.unread.clone());
+        let stations = campaigns.values().flat_map(stations).collect();
         let given = |campaign: &Campaign| -> Vec<i32> {
             campaign.patches.iter().filter(|(_, patch)| patch.position_m.is_some()).map(|(id, _)| *id).collect()
         };
-        let anchors = campaigns.values().flat_map(given).collect();
+        let anchors: BTreeSet<i32> = campaigns.values().flat_map(given).collect();
         let ray = |onset: &crate::history::behind::OnsetBehind| {
             let (campaign, path) = (campaigns.get(&*onset.campaign)?, onset.path.as_ref()?);
             let on_path: Vec<&Placed> = path.iter().map(|patch| places.get(patch).copied()).collect::<Option<_>>()?;
@@ -130,10 +131,11 @@ impl Scene {
         let (hidden, seen): (Vec<Ray>, Vec<Ray>) = all.into_iter().partition(|ray| ray.is_hidden);
         let mut rays = chosen(hidden);
         rays.extend(chosen(seen));
+        let surface: Vec<SurfacePoint> = sources.rows(|_: &SurfacePoint| true)?;
         Ok(Some(Self {
             heading,
+            ellipsoid_factor: ellipsoid_factor(&patches, &anchors),
             anchors,
-            ellipsoid_factor: ellipsoid_factor(&patches),
             alternatives,
             stations,
             unread,
@@ -145,9 +147,21 @@ impl Scene {
             planes: sources.rows(|_: &Plane| true)?,
             gaps: sources.rows(|_: &Gap| true)?,
             decisions: sources.rows(|_: &Decision| true)?,
+            searches: sources.rows(|_: &JointSearch| true)?,
+            footprints: sources.rows(|_: &PatchFootprint| true)?,
+            walls: sources.last_rows(|place: &Hypothesis| &*place.kind == "plane" && place.alternative == 0)?,
+            surface_points: surface.len(),
+            surface: spread(&surface, SURFACE_POINTS),
             patches,
         }))
     }
+}
+
+/// Where laser and sensors of a campaign stand.
+fn stations(campaign: &Campaign) -> Vec<(String, [f64; 3])> {
+    let of_sensor = |name: &String| Some((name.clone(), campaign.station_of(name)?.position_m));
+    let own = campaign.stations.iter().map(|(name, station)| (name.clone(), station.position_m));
+    own.chain(campaign.sensors.keys().filter_map(of_sensor)).collect()
 }
 
 fn chosen(rays: Vec<Ray>) -> Vec<Ray> {
@@ -157,10 +171,11 @@ fn chosen(rays: Vec<Ray>) -> Vec<Ray> {
     rays.into_iter().enumerate().filter(|(place, _)| kept.next_if_eq(place).is_some()).map(|(_, ray)| ray).collect()
 }
 
-/// Factor of 1, 2 or 5 times a power of ten.
-fn ellipsoid_factor(patches: &[Placed]) -> f64 {
+/// Factor of 1, 2 or 5 times a power of ten, by the patches whose places are no `anchors`.
+fn ellipsoid_factor(patches: &[Placed], anchors: &BTreeSet<i32>) -> f64 {
+    let solved = patches.iter().filter(|placed| !anchors.contains(&placed.patch.patch));
     let mut longest_m: Vec<f64> =
-        patches.iter().filter_map(|placed| placed.semi_axes_m).map(|axes| norm(axes[0])).filter(|m| *m > 0.0).collect();
+        solved.filter_map(|placed| placed.semi_axes_m).map(|axes| norm(axes[0])).filter(|m| *m > 0.0).collect();
     if longest_m.is_empty() {
         return 1.0;
     }

@@ -26,17 +26,23 @@ impl<'a> Sources<'a> {
         Self { ancestry, answer }
     }
 
-    /// The table of this name that goes with the answer: made by the same work, else the nearest that the answer was
-    /// made from, else the last in the dataflow.
+    /// The table of this name that goes with the answer: made by the same work, or by the work whose positions that
+    /// work took over; else the nearest that the answer was made from, else the last in the dataflow.
     pub fn table(&self, name: &str) -> Option<Table> {
-        let of_answer = self.answer.as_ref().and_then(|answer| {
-            if answer.name == name {
-                return Some(answer.clone());
+        let mut positions = self.answer.clone();
+        while let Some(table) = positions {
+            if table.name == name {
+                return Some(table);
             }
-            self.ancestry.beside(answer, name).or_else(|| self.ancestry.nearest(answer, name))
-        });
+            if let Some(beside) = self.ancestry.beside(&table, name) {
+                return Some(beside);
+            }
+            let streamed = self.ancestry.inputs(&table).first();
+            positions = streamed.map(|(_, input)| input.clone()).filter(|input| input.name == Patch::TABLE);
+        }
+        let nearest = self.answer.as_ref().and_then(|answer| self.ancestry.nearest(answer, name));
         let last = || self.ancestry.views().into_iter().rev().map(|(_, table)| table).find(|table| table.name == name);
-        of_answer.or_else(last)
+        nearest.or_else(last)
     }
 
     /// What the table of this name is called; `None` where there is none.
@@ -52,7 +58,21 @@ impl<'a> Sources<'a> {
         self.rows_near(&[], wanted)
     }
 
-    /// The same for rows that have one of these numbers in these columns: others need not be read.
+    /// Rows that are wanted, of the last table of [`Row::TABLE`] in the dataflow that has any.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn last_rows<R: Row>(&self, wanted: impl Fn(&R) -> bool) -> Result<Vec<R>, HistoryError> {
+        for (_, table) in self.ancestry.views().into_iter().rev().filter(|(_, table)| table.name == R::TABLE) {
+            let rows = self.ancestry.rows_near(&table, &[], &wanted)?;
+            if !rows.is_empty() {
+                return Ok(rows);
+            }
+        }
+        Ok(Vec::new())
+    }
+
+    /// Rows that are wanted and have one of these numbers in these columns: others need not be read.
     ///
     /// # Errors
     /// When a file cannot be read.

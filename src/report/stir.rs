@@ -14,7 +14,7 @@ use crate::units::PatchId;
 /// Columns of an image at most.
 const COLUMNS: usize = 260;
 /// Pixels of all images together at most.
-const PIXELS: usize = 450_000;
+const PIXELS: usize = 350_000;
 /// Images at most.
 const IMAGES: usize = 60;
 /// Signal over noise that is black.

@@ -1,23 +1,28 @@
-//! Chosen profiles: the mean of their shots with its error band, the impulses that explain it, and the labels of their
-//! onsets.
+//! Chosen profiles: the mean of their shots with its error band, the curve that their impulses draw, and the labels of
+//! their onsets.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::arrivals::{Arrivals, doubt};
+use super::campaigns::Campaigns;
+use super::curve::{Curve, Explanation};
 use super::sources::Sources;
 use super::spread;
 use crate::history::HistoryError;
 use crate::history::behind::{CaptureKey, OnsetBehind};
+use crate::priors::calibration::Sensors;
 use crate::table;
 use crate::tables::stir::Impulse;
-use crate::tables::{Name, Samples};
+use crate::tables::{Calibration, Name, Profile, Session};
 
 /// Profiles at most.
 const PROFILES: usize = 200;
 /// Of these, those with the onsets to doubt most.
 const DOUBTED: usize = 60;
 /// Points of a curve at most.
-const POINTS: usize = 320;
+const POINTS: usize = 330;
+/// Of these, from each stretch.
+const EXTREMES: usize = 3;
 /// Margin before the first and after the last onset, as a share of the time between them.
 const MARGIN: f64 = 0.15;
 /// Least margin, in samples.
@@ -43,36 +48,6 @@ table! {
 }
 
 table! {
-    /// A mean profile.
-    "profiles": Averaged, AveragedColumns {
-        /// Campaign.
-        campaign: Name,
-        /// Sensor.
-        sensor: Name,
-        /// Patch lit.
-        lit: i32,
-        /// Patch seen.
-        seen: i32,
-        /// Role.
-        role: Name,
-        /// Shots averaged.
-        shots: i32,
-        /// Rejected shots.
-        rejected: i32,
-        /// Time of sample 0 since the reference pulse.
-        t0_ps: f64,
-        /// Time between samples.
-        dt_ps: f64,
-        /// Mean signal.
-        mean_v: Samples,
-        /// Its standard error.
-        se_v: Samples,
-        /// Wall-clock time of the first shot.
-        acquired_at: Option<Name>,
-    }
-}
-
-table! {
     /// How a profile is explained.
     "stir": Explained, ExplainedColumns {
         /// Campaign.
@@ -89,6 +64,40 @@ table! {
         impulses: Vec<Impulse>,
         /// Chi-square over degrees of freedom.
         chi2_dof: Option<f64>,
+        /// Standard deviation of a baseline that moves.
+        ground_v: f64,
+        /// Width of the response over the calibration's.
+        response_width: Option<f64>,
+        /// Its standard deviation.
+        response_width_sd: Option<f64>,
+    }
+}
+
+table! {
+    /// How well a profile is explained.
+    "stir": Misfit, MisfitColumns {
+        /// Chi-square over degrees of freedom.
+        chi2_dof: Option<f64>,
+    }
+}
+
+/// One sample that is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Time of flight.
+    pub time_ps: f64,
+    /// Mean of all shots.
+    pub mean_v: f64,
+    /// Its standard error; infinite for a sample that every range clipped.
+    pub se_v: f64,
+    /// The fitted curve, where `stir` has pulses and the calibration of their sensor is kept.
+    pub fitted_v: Option<f64>,
+}
+
+impl Point {
+    /// What the curve leaves, in standard errors.
+    pub fn residual(&self) -> Option<f64> {
+        self.fitted_v.map(|fitted_v| (self.mean_v - fitted_v) / self.se_v).filter(|_| self.se_v.is_finite())
     }
 }
 
@@ -102,10 +111,14 @@ pub struct Waveform {
     pub rejected: i32,
     /// Wall-clock time of the first shot.
     pub acquired_at: Option<Name>,
+    /// Whether its samples are photons a bin, not volts.
+    pub is_counted: bool,
     /// Chi-square of the deconvolution over its degrees of freedom.
     pub chi2_dof: Option<f64>,
-    /// Time of flight, mean and standard error; a long record is thinned to the extremes of each stretch.
-    pub points: Vec<(f64, f64, f64)>,
+    /// The same of the curve that is drawn.
+    pub drawn_chi2_dof: Option<f64>,
+    /// Samples; a long record is thinned to the extremes of each stretch.
+    pub points: Vec<Point>,
     /// Impulses that explain it.
     pub impulses: Vec<Impulse>,
     /// Its onsets.
@@ -121,6 +134,15 @@ pub struct Waveforms {
     pub all: usize,
     /// In the order of the table.
     pub chosen: Vec<Waveform>,
+    /// Chi-square over degrees of freedom of each profile that was explained by pulses, ascending.
+    pub chi2_dofs: Vec<f64>,
+}
+
+/// What a curve needs besides profile and pulses.
+struct Instrument<'a> {
+    sensors: Sensors,
+    sessions: Vec<Session>,
+    campaigns: &'a Campaigns,
 }
 
 impl Waveforms {
@@ -128,7 +150,7 @@ impl Waveforms {
     ///
     /// # Errors
     /// When a table cannot be read.
-    pub fn of(sources: &Sources<'_>, arrivals: &Arrivals) -> Result<Self, HistoryError> {
+    pub fn of(sources: &Sources<'_>, campaigns: &Campaigns, arrivals: &Arrivals) -> Result<Self, HistoryError> {
         let keys = sources.rows(|row: &Key| &*row.role == SCENE)?;
         let keys: Vec<CaptureKey> = keys.into_iter().map(|row| (row.campaign, row.sensor, row.lit, row.seen)).collect();
         let worst = |capture: &CaptureKey| {
@@ -149,36 +171,93 @@ impl Waveforms {
             .into_iter()
             .map(|row| (key(&row), row))
             .collect();
-        let key = |row: &Averaged| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
-        let averaged = sources.rows_near(&near, |row: &Averaged| &*row.role == SCENE && wanted.contains(&key(row)))?;
-        let waveform = |row: Averaged| {
+        let key = |row: &Profile| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
+        let averaged = sources.rows_near(&near, |row: &Profile| &*row.role == SCENE && wanted.contains(&key(row)))?;
+        let instrument = Instrument {
+            sensors: Sensors::new(&sources.rows(|_: &Calibration| true)?),
+            sessions: sources.rows(|_: &Session| true)?,
+            campaigns,
+        };
+        let waveform = |row: Profile| {
             let capture = key(&row);
             let onsets = arrivals.by_capture.get(&capture).cloned().unwrap_or_default();
-            let explained = explained.get(&capture);
-            Waveform::new(row, explained, capture, onsets)
+            Waveform::new(&row, explained.get(&capture), &instrument, (capture.clone(), onsets))
         };
         let mut chosen: Vec<Waveform> = averaged.into_iter().map(waveform).collect();
         chosen.sort_by(|a, b| a.capture.cmp(&b.capture));
-        Ok(Self { heading: sources.heading("profiles"), all: keys.len(), chosen })
+        let misfits = sources.rows(|row: &Misfit| row.chi2_dof.is_some())?;
+        let mut chi2_dofs: Vec<f64> = misfits.into_iter().filter_map(|row| row.chi2_dof).collect();
+        chi2_dofs.sort_by(f64::total_cmp);
+        Ok(Self { heading: sources.heading("profiles"), all: keys.len(), chosen, chi2_dofs })
+    }
+}
+
+impl Instrument<'_> {
+    /// The curve through a profile; `None` where its sensor is not calibrated, or no pulses were fitted.
+    fn curve(&self, row: &Profile, explained: &Explained) -> Option<Curve> {
+        let chi2_dof = explained.chi2_dof?;
+        let campaign = self.campaigns.by_name.get(&*row.campaign);
+        let dead_time_ps = campaign.and_then(|campaign| campaign.sensors.get(&*row.sensor)?.dead_time_ps);
+        let period_ps = campaign.and_then(|campaign| campaign.repetition_ps);
+        let explanation = Explanation {
+            impulses: &explained.impulses,
+            chi2_dof,
+            width: explained.response_width.zip(explained.response_width_sd).map(|(factor, sd)| [factor, sd]),
+            ground_v: explained.ground_v,
+        };
+        let of_campaign = (period_ps, dead_time_ps.unwrap_or(0.0));
+        Curve::of(row, self.sensors.of(row)?, &self.sessions, of_campaign, &explanation)
     }
 }
 
 impl Waveform {
-    fn new(row: Averaged, explained: Option<&Explained>, capture: CaptureKey, onsets: Vec<OnsetBehind>) -> Self {
+    fn new(
+        row: &Profile,
+        explained: Option<&Explained>,
+        instrument: &Instrument<'_>,
+        (capture, onsets): (CaptureKey, Vec<OnsetBehind>),
+    ) -> Self {
+        let curve = explained.and_then(|explained| instrument.curve(row, explained));
         // Times of the mean have the sensor's latency in them; those of the deconvolution have not.
         let t0_ps = explained.map_or(row.t0_ps, |explained| explained.t0_ps);
         let impulses = explained.map(|explained| explained.impulses.clone()).unwrap_or_default();
         let times_ps: Vec<f64> = impulses.iter().map(|impulse| impulse.time_ps).collect();
+        let samples: Vec<Point> = match &curve {
+            Some(curve) => (0..curve.measured_v.len()).map(|n| fitted(curve, n)).collect(),
+            None => (0..row.mean_v.len().min(row.se_v.len())).map(|n| measured(row, t0_ps, n)).collect(),
+        };
         Self {
-            points: thinned(&row, t0_ps, &times_ps),
+            points: thinned(&samples, row.dt_ps, &times_ps),
             onsets,
             capture,
             shots: row.shots,
             rejected: row.rejected,
-            acquired_at: row.acquired_at,
+            acquired_at: row.acquired_at.clone(),
+            is_counted: row.counts.is_some(),
             chi2_dof: explained.and_then(|explained| explained.chi2_dof),
+            drawn_chi2_dof: curve.map(|curve| curve.chi2_dof),
             impulses,
         }
+    }
+}
+
+fn fitted(curve: &Curve, n: usize) -> Point {
+    Point {
+        time_ps: curve.t0_ps + n as f64 * curve.dt_ps,
+        mean_v: curve.measured_v[n],
+        se_v: curve.sd_v[n],
+        fitted_v: Some(curve.fitted_v[n]),
+    }
+}
+
+/// A sample without a curve. Of photons the number that was counted: what `average` takes for background may be light.
+fn measured(row: &Profile, t0_ps: f64, n: usize) -> Point {
+    let count = row.counts.as_ref().and_then(|counts| counts.get(n)).map(|count| f64::from(*count));
+    Point {
+        time_ps: t0_ps + n as f64 * row.dt_ps,
+        mean_v: count.unwrap_or(f64::from(row.mean_v[n])),
+        se_v: count.map_or(f64::from(row.se_v[n]), |count| count.max(1.0).sqrt()),
+        fitted_v: None,
     }
 }
 
@@ -192,64 +271,64 @@ impl Waveforms {
     }
 }
 
-/// Points around the impulses; of a stretch too long to show all samples its lowest and its highest.
-fn thinned(row: &Averaged, t0_ps: f64, impulses_ps: &[f64]) -> Vec<(f64, f64, f64)> {
-    let point = |i: usize| (t0_ps + i as f64 * row.dt_ps, f64::from(row.mean_v[i]), f64::from(row.se_v[i]));
+/// Samples around the impulses; of a stretch too long to show all of them its lowest, its highest and that farthest
+/// from the curve.
+fn thinned(samples: &[Point], dt_ps: f64, impulses_ps: &[f64]) -> Vec<Point> {
     let first_ps = impulses_ps.iter().copied().fold(f64::INFINITY, f64::min);
     let last_ps = impulses_ps.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let margin_ps = (MARGIN * (last_ps - first_ps)).max(LEAST_BESIDE * row.dt_ps);
-    let shown = |i: usize| {
-        impulses_ps.is_empty() || (first_ps - margin_ps..=last_ps + margin_ps).contains(&(t0_ps + i as f64 * row.dt_ps))
+    let margin_ps = (MARGIN * (last_ps - first_ps)).max(LEAST_BESIDE * dt_ps);
+    let shown = |point: &&Point| {
+        impulses_ps.is_empty() || (first_ps - margin_ps..=last_ps + margin_ps).contains(&point.time_ps)
     };
-    let samples: Vec<usize> = (0..row.mean_v.len().min(row.se_v.len())).filter(|&i| shown(i)).collect();
-    if samples.len() <= POINTS {
-        return samples.into_iter().map(point).collect();
+    let near: Vec<Point> = samples.iter().filter(shown).copied().collect();
+    if near.len() <= POINTS {
+        return near;
     }
-    let stretch = (2 * samples.len()).div_ceil(POINTS);
-    samples.chunks(stretch).flat_map(|stretch| extremes(&row.mean_v, stretch)).map(point).collect()
+    let stretch = (EXTREMES * near.len()).div_ceil(POINTS);
+    near.chunks(stretch).flat_map(|stretch| extremes(stretch).into_iter().map(|n| stretch[n])).collect()
 }
 
-/// The lowest and the highest of some samples, in their order.
-fn extremes(mean_v: &[f32], samples: &[usize]) -> BTreeSet<usize> {
-    let by_mean = |a: &&usize, b: &&usize| mean_v[**a].total_cmp(&mean_v[**b]);
-    let (low, high) = (samples.iter().min_by(by_mean).copied(), samples.iter().max_by(by_mean).copied());
-    low.into_iter().chain(high).collect()
+/// The lowest and the highest of some samples, and that with the largest residual, in their order.
+fn extremes(samples: &[Point]) -> BTreeSet<usize> {
+    let by = |value: fn(&Point) -> f64| {
+        (0..samples.len()).max_by(|a, b| value(&samples[*a]).total_cmp(&value(&samples[*b])))
+    };
+    let residual = |point: &Point| point.residual().map_or(0.0, f64::abs);
+    [by(|point| -point.mean_v), by(|point| point.mean_v), by(residual)].into_iter().flatten().collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn row(mean_v: Vec<f32>) -> Averaged {
-        let name = Name::from("s1");
-        Averaged {
-            campaign: name.clone(),
-            sensor: name.clone(),
-            lit: 1,
-            seen: 2,
-            role: name,
-            shots: 1,
-            rejected: 0,
-            t0_ps: 0.0,
-            dt_ps: 10.0,
-            se_v: vec![0.5; mean_v.len()].into(),
-            mean_v: mean_v.into(),
-            acquired_at: None,
-        }
+    fn samples(mean_v: &[f64]) -> Vec<Point> {
+        let point = |(n, mean_v): (usize, &f64)| Point {
+            time_ps: 100.0 + 10.0 * n as f64,
+            mean_v: *mean_v,
+            se_v: 0.5,
+            fitted_v: Some(0.0),
+        };
+        mean_v.iter().enumerate().map(point).collect()
     }
 
     #[test]
     fn a_long_record_keeps_its_extremes_in_their_order() {
         let mut mean_v = vec![0.0; 10_000];
         (mean_v[5003], mean_v[5001]) = (7.0, -3.0);
-        let points = thinned(&row(mean_v), 100.0, &[]);
-        assert!(points.len() <= POINTS && points.is_sorted_by(|a, b| a.0 < b.0));
-        assert!(points.contains(&(100.0 + 50_010.0, -3.0, 0.5)) && points.contains(&(100.0 + 50_030.0, 7.0, 0.5)));
+        let mut samples = samples(&mean_v);
+        // The largest residual is neither the lowest nor the highest of its stretch.
+        (samples[5002].mean_v, samples[5002].fitted_v) = (1.0, Some(-10.0));
+        let points = thinned(&samples, 10.0, &[]);
+        assert!(points.len() <= POINTS && points.is_sorted_by(|a, b| a.time_ps < b.time_ps));
+        for n in [5001, 5002, 5003] {
+            assert!(points.contains(&samples[n]), "{n}");
+        }
+        assert_eq!(samples[5002].residual(), Some(22.0));
     }
 
     #[test]
     fn only_the_surroundings_of_impulses_are_shown() {
-        let points = thinned(&row(vec![0.0; 10_000]), 0.0, &[2000.0, 2100.0]);
-        assert_eq!((points[0].0, points.last().unwrap().0, points.len()), (1750.0, 2350.0, 61));
+        let points = thinned(&samples(&vec![0.0; 10_000]), 10.0, &[2000.0, 2100.0]);
+        assert_eq!((points[0].time_ps, points.last().unwrap().time_ps, points.len()), (1750.0, 2350.0, 61));
     }
 }

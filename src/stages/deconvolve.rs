@@ -12,9 +12,9 @@
 //! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse
 //! whose samples ask for it is widened by a Gaussian; where that does not suffice, by the chords of an even disk in its
 //! place, or by an exponential tail behind it. Its time is that of the light's centroid, `width_ps` the standard
-//! deviation of all together, and `width_kurtosis` tells a disk (-1) from a Gaussian (0). Two impulses closer than
-//! twice that limit may then be taken for one: the best two points in the place of a wide impulse stay beside it (the
-//! fields `pair_...` of an impulse), for `label` to choose by what it knows of the scene.
+//! deviation of all together (`tail_ps` of it is the tail), and `width_kurtosis` tells a disk (-1) from a Gaussian (0).
+//! Two impulses closer than twice that limit may then be taken for one: the best two points in the place of a wide
+//! impulse stay beside it (the fields `pair_...` of an impulse), for `label` to choose by what it knows of the scene.
 //!
 //! With a known response the limit of time resolution is noise and not the sensor: `sparse` separates pulses closer
 //! than the response is wide. Times are times of flight: the sensor's latency is taken off here. Pulses are of the

@@ -37,6 +37,8 @@ pub struct Impulse {
     pub width_sd_ps: Option<f64>,
     /// Excess kurtosis of the spread that makes it wide: 0 for a Gaussian, -1 for the chords of a disk.
     pub width_kurtosis: Option<f64>,
+    /// Constant of the exponential tail of its light, which `width_ps` has in it; null for light without a tail.
+    pub tail_ps: Option<f64>,
     /// The best two points in the place of an impulse that is wider than 0.
     pub pair: Option<ImpulsePair>,
 }
@@ -64,7 +66,7 @@ pub struct ImpulsePair {
 }
 
 const REQUIRED: usize = 8;
-const CELLS: usize = 18;
+const CELLS: usize = 19;
 /// The first are never null.
 const IMPULSE_FIELDS: [&str; CELLS] = [
     "time_ps",
@@ -77,6 +79,7 @@ const IMPULSE_FIELDS: [&str; CELLS] = [
     "misfit_factor",
     "width_sd_ps",
     "width_kurtosis",
+    "tail_ps",
     "pair_first_ps",
     "pair_second_ps",
     "pair_first_sd_ps",
@@ -101,6 +104,7 @@ impl Impulse {
             Some(self.misfit_factor),
             self.width_sd_ps,
             self.width_kurtosis,
+            self.tail_ps,
             of_pair(|pair| pair.first_ps),
             of_pair(|pair| pair.second_ps),
             of_pair(|pair| pair.first_sd_ps),
@@ -125,6 +129,7 @@ impl Impulse {
             factor,
             width_sd_ps,
             width_kurtosis,
+            tail_ps,
             pair @ ..,
         ] = *cells;
         let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
@@ -150,6 +155,7 @@ impl Impulse {
             misfit_factor: factor?,
             width_sd_ps,
             width_kurtosis,
+            tail_ps,
             pair: pair_of(pair),
         })
     }

@@ -9,16 +9,17 @@ use std::sync::LazyLock;
 use periscope::pipeline::run::Settings;
 use periscope::report::{Report, figures, page};
 use periscope::simulate::Format;
-use periscope::tables::{Distance, Label, Onset, Patch, Profile, Residual, Row, Stir};
+use periscope::tables::{Calibration, Decision, Distance, Fit, Label, Onset, Patch, Profile, Residual, Row, Stir};
 
 use crate::browser::Browser;
-use crate::lab::{AVERAGES, Lab, write_table};
+use crate::lab::{AVERAGES, Lab, TINY, write_table};
 use crate::scope_samples::samples;
 
-/// A page is at most this large.
-const MOST_BYTES: usize = 15_000_000;
+/// The page of a small campaign is at most this large, and that of the largest.
+const MOST_BYTES: usize = 8_000_000;
+const MOST_BYTES_OF_ALL: usize = 15_000_000;
 /// Something stands on the screen within this time.
-const FIRST_PAINT_MS: f64 = 2000.0;
+const FIRST_PAINT_MS: f64 = 1000.0;
 
 /// Around the corner: a small campaign with three hidden patches.
 static CORNER: LazyLock<Lab> = LazyLock::new(|| {
@@ -63,9 +64,18 @@ fn the_command_writes_one_file_that_needs_no_network() {
         assert!(!own.contains(loads), "{loads}");
     }
     assert!(own.contains("8 visible") && own.contains("3 hidden"), "the answer stands first");
-    for section in
-        ["answer", "patches", "stir", "profiles", "response", "residuals", "distances", "rejects", "provenance"]
-    {
+    for section in [
+        "decisions",
+        "answer",
+        "patches",
+        "stir",
+        "profiles",
+        "response",
+        "residuals",
+        "distances",
+        "rejects",
+        "provenance",
+    ] {
         assert!(own.contains(&format!("<section id=\"{section}\"")), "{section}");
     }
     // It is no table: the other commands do not trip over it.
@@ -87,6 +97,145 @@ fn the_page_has_the_numbers_of_the_tables() {
     let pull = |row: &Residual| row.studentised.unwrap_or(row.standardised).abs();
     let worst = worst.iter().filter(|row| row.used).max_by(|a, b| pull(a).total_cmp(&pull(b))).unwrap();
     assert!(own.contains(&format!("s1, lit {}, seen {}, rank {}", worst.lit, worst.seen, worst.rank)));
+}
+
+#[test]
+fn the_head_says_that_the_model_explains_the_data() {
+    let own = own(&page_of(&CORNER.path("out")));
+    let head = &own[own.find("id=\"verdict\"").unwrap()..own.find("<nav").unwrap()];
+    assert!(head.contains("class=\"verdict well\"") && head.contains(" Explained</p>"), "{head}");
+    // The numbers of the solution's own fit, not of one on the way to it.
+    let fit = &CORNER.rows::<Fit>("out", "patches.fits")[0];
+    let evidence = format!("chi-square {:.1} of {} degrees of freedom", fit.chi2, fit.degrees_of_freedom);
+    assert!(head.contains(&evidence), "{head}");
+    assert!(head.contains(&format!(", {} degrees of freedom), p-value", fit.degrees_of_freedom)), "{head}");
+    assert!(head.contains("onsets without a path") && head.contains("href=\"#open\""), "{head}");
+    let rows: Vec<Decision> = CORNER.rows("out", "decisions");
+    let table = own.split("id=\"decisions\"").nth(1).unwrap().split("</section>").next().unwrap();
+    assert!(rows.len() > 5 && table.matches("<tr>").count() == rows.len() + 1, "{table}");
+}
+
+/// Runs the usual pipeline of the command over a campaign of this lab.
+fn run_scene(lab: &Lab, out: &str) -> i32 {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_periscope"));
+    command.args(["run", "--progress", "none", "--campaign"]).arg(lab.campaign()).arg("--out").arg(lab.path(out));
+    command.output().unwrap().status.code().unwrap()
+}
+
+/// Captures with one response, a calibration with that of a slower sensor.
+#[test]
+fn a_wrong_response_is_not_explained_at_first_sight() {
+    let lab = Lab::tiny();
+    let slower = Lab::of(&TINY.replace("tau_ps = 112.0", "tau_ps = 160.0"), 1, Format::Trc);
+    for name in ["s1_C1.trc", "s1_C2.trc"] {
+        fs::copy(slower.campaign().join("raw/response").join(name), lab.campaign().join("raw/response").join(name))
+            .unwrap();
+    }
+    assert_eq!(run_scene(&lab, "out"), 0);
+    let own = own(&page_of(&lab.path("out")));
+    let head = &own[own.find("id=\"verdict\"").unwrap()..own.find("<nav").unwrap()];
+    assert!(head.contains("class=\"verdict bad\"") && head.contains(" Not explained</p>"), "{head}");
+    assert!(head.contains("do not trust the positions") && head.contains("waveforms: not explained in"), "{head}");
+    // What the waveforms leave is to be seen, too: residuals far beyond noise.
+    let residuals = records(&own);
+    let residuals = residuals.values().flat_map(|record| numbers(&record["residual"]));
+    let largest = residuals.map(f64::abs).fold(0.0, f64::max);
+    assert!(largest > 5.0, "{largest}");
+}
+
+#[test]
+fn the_head_says_when_the_last_run_failed_and_the_page_how_the_answer_grew() {
+    let lab = Lab::tiny();
+    let (scene, aside) = (lab.campaign().join("raw/scene"), lab.path("aside"));
+    fs::create_dir_all(&aside).unwrap();
+    let names = ["s1_L1_P2_C1.trc", "s1_L1_P2_C2.trc"];
+    names.iter().for_each(|name| fs::rename(scene.join(name), aside.join(name)).unwrap());
+    assert_eq!(run_scene(&lab, "out"), 0);
+    assert!(!own(&page_of(&lab.path("out"))).contains("id=\"growth\""), "one run is no growth");
+    names.iter().for_each(|name| fs::rename(aside.join(name), scene.join(name)).unwrap());
+    assert_eq!(run_scene(&lab, "out"), 0);
+    let page = own(&page_of(&lab.path("out")));
+    let growth = page.split("id=\"growth\"").nth(1).expect("two runs, two answers").split("</section>").next().unwrap();
+    let shots = |profiles: usize| format!("<td>{profiles}</td>");
+    assert!(
+        growth.contains(&shots(15)) && growth.contains(&shots(16)) && growth.matches("<tr>").count() == 3,
+        "{growth}"
+    );
+    fs::rename(lab.campaign().join("raw/response/s1_C1.trc"), aside.join("response.trc")).unwrap();
+    assert_eq!(run_scene(&lab, "out"), 1);
+    let page = own(&page_of(&lab.path("out")));
+    let head = &page[page.find("id=\"verdict\"").unwrap()..page.find("<nav").unwrap()];
+    assert!(head.contains("class=\"verdict bad\"") && head.contains(" The run failed</p>"), "{head}");
+    assert!(head.contains("is not calibrated"), "{head}");
+}
+
+/// Numbers of the profiles in a page, by address.
+fn records(page: &str) -> serde_json::Map<String, serde_json::Value> {
+    let json = page.split("id=\"profile-records\">").nth(1).unwrap().split("</script>").next().unwrap();
+    serde_json::from_str(json).unwrap()
+}
+
+fn numbers(values: &serde_json::Value) -> Vec<f64> {
+    values.as_array().unwrap().iter().filter_map(serde_json::Value::as_f64).collect()
+}
+
+/// Root mean square of values off the line through them that is nearest to all.
+fn rms_off_a_line(x: &[f64], y: &[f64]) -> f64 {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (middle, level) = (mean(x), mean(y));
+    let products: Vec<f64> = x.iter().zip(y).map(|(x, y)| (x - middle) * (y - level)).collect();
+    let slope = mean(&products) / mean(&x.iter().map(|x| (x - middle).powi(2)).collect::<Vec<_>>());
+    let left: Vec<f64> = x.iter().zip(y).map(|(x, y)| (y - level - slope * (x - middle)).powi(2)).collect();
+    mean(&left).sqrt()
+}
+
+/// Straight lines between the samples of the calibration's response, added up at the times of `stir`, on the line that
+/// fits best: the page's curve is the same but for what averaging over sub-sample phases does to an edge.
+#[test]
+fn fitted_curves_are_sums_of_responses_and_leave_noise() {
+    let records = records(&own(&page_of(&CORNER.path("out"))));
+    let calibration: Calibration = CORNER.rows("out", "calibration").remove(0);
+    let response = |after_ps: f64| -> f64 {
+        let place = (after_ps - calibration.response_t0_ps) / calibration.step_ps;
+        let sample = |n: f64| calibration.response.get(n as usize).map_or(0.0, |value| f64::from(*value));
+        if place < 0.0 {
+            0.0
+        } else {
+            sample(place.floor()) * (1.0 - place.fract()) + sample(place.floor() + 1.0) * place.fract()
+        }
+    };
+    let (mut compared, mut mean_squares) = (0, Vec::new());
+    for row in CORNER.rows::<Stir>("out", "stir") {
+        let record = &records[&format!("profile-around_the_corner-s1-{}-{}", row.lit, row.seen)];
+        let [time, fit, mean, error, residual] =
+            ["time", "fit", "mean", "error", "residual"].map(|name| numbers(&record[name]));
+        for n in 0..time.len() {
+            // Values in the page have four digits, errors two.
+            let rounding = 0.06 * residual[n].abs() + 1.1e-3 * mean[n].abs() / error[n] + 0.02;
+            let off = residual[n] - (mean[n] - fit[n]) / error[n];
+            assert!(off.abs() < rounding, "{n}: off by {off}");
+        }
+        let chi2 = residual.iter().map(|value| value * value).sum::<f64>() / residual.len() as f64;
+        mean_squares.push(chi2 / row.chi2_dof.unwrap());
+        if row.impulses.iter().any(|impulse| impulse.width_ps > 0.0) {
+            continue;
+        }
+        let naive = |time_ps: f64| -> f64 {
+            row.impulses.iter().map(|impulse| impulse.amplitude_v * response(time_ps - impulse.time_ps)).sum()
+        };
+        let highest = row.impulses.iter().map(|impulse| impulse.amplitude_v).fold(0.0, f64::max);
+        let off: Vec<f64> = time.iter().zip(&fit).map(|(time_ps, fit)| fit - naive(*time_ps)).collect();
+        let rms = rms_off_a_line(&time, &off);
+        assert!(rms < 0.03 * highest, "lit {}, seen {}: {rms} of {highest}", row.lit, row.seen);
+        compared += 1;
+    }
+    assert!(compared >= 5, "{compared} profiles without a wide pulse");
+    // What the curves leave is what `deconvolve` found, which took the correlation of noise into account.
+    mean_squares.sort_by(f64::total_cmp);
+    let (least, median) = (mean_squares[0], mean_squares[mean_squares.len() / 2]);
+    // A window around one pulse has few samples.
+    assert!((0.85..1.2).contains(&median) && least > 0.25, "{mean_squares:?}");
+    assert!(mean_squares[mean_squares.len() - 1] < 2.0, "{mean_squares:?}");
 }
 
 #[test]
@@ -153,10 +302,49 @@ fn a_browser_draws_all_of_it_and_leads_from_patch_to_onset_to_profile() {
     let shown = format!("document.getElementById('profile-choice').value === {profile}");
     browser.wait("the profile of its first onset", &shown);
     browser.wait("its curve", "document.getElementById('profile').data?.length > 3");
-    let scale = "document.getElementById('profile').layout.yaxis.type";
-    let before = browser.run(&format!("return {scale};"));
+    // Curve and residuals stand beside the data, on a scale that shows noise and peaks.
+    let named =
+        |name: &str| format!("document.getElementById('profile').data.find((trace) => trace.name === '{name}')");
+    for trace in ["data", "fitted curve", "residual"] {
+        browser.wait(trace, &format!("{}?.y.length > 20", named(trace)));
+    }
+    let top = format!("Math.max(...{}.y)", named("data"));
+    let on_asinh = browser.run(&format!("return {top};")).as_f64().unwrap();
+    let ticks = browser.run("return document.getElementById('profile').layout.yaxis.ticktext.join();");
+    assert!(ticks.as_str().unwrap().contains("mV"), "{ticks}");
     browser.run("document.getElementById('profile-scale').click();");
-    browser.wait("the other scale", &format!("{scale} !== {before}"));
+    browser.wait("volts as they are", &format!("{top} !== {on_asinh}"));
+    let volts = browser.run(&format!("return {top};")).as_f64().unwrap();
+    let noise = browser.run(&format!("return {volts} / Math.sinh({on_asinh});")).as_f64().unwrap();
+    assert!(volts > 0.0 && noise > 0.0 && noise < volts / 3.0, "{volts} V at {on_asinh}");
+    assert_eq!(browser.errors(), Vec::<String>::new());
+}
+
+/// Whoever cannot see the plots, or has no mouse.
+#[test]
+fn plots_have_words_and_need_no_mouse() {
+    let Some(browser) = Browser::open() else { return };
+    let file = CORNER.path("words.html");
+    fs::write(&file, page_of(&CORNER.path("out"))).unwrap();
+    is_drawn_whole(&browser, &file);
+    let wordless = "return [...document.querySelectorAll('.plot')].filter((plot) => !(plot.getAttribute('aria-label')?.length > 25)).map((plot) => plot.id);";
+    assert_eq!(browser.run(wordless), serde_json::json!([]));
+    let pulses = browser.run("return document.querySelectorAll('#profile-pulses tbody tr').length;");
+    assert!(pulses.as_u64() > Some(0), "the pulses as a table");
+    let eye = "JSON.stringify(document.getElementById('scene')._fullLayout.scene.camera.eye)";
+    let before = browser.run(&format!("return {eye};"));
+    browser.run("document.querySelector('[data-turn=left]').click();");
+    browser.wait("another view", &format!("{eye} !== {}", serde_json::json!(before.as_str().unwrap())));
+    // Numbers in space: each is placed where it covers no other, or left out.
+    let apart = "const plot = document.getElementById('scene'), texts = new Map();
+        plot.data.forEach((trace, n) => { if (/text/.test(trace.mode ?? '')) texts.set(n, [...trace.text]); });
+        const at = projected(plot), boxes = [];
+        for (const [n, all] of texts) all.forEach((text, k) => {
+            const { x, y, z, textposition } = plot.data[n];
+            if (text) boxes.push(labelBox(at(x[k], y[k], z[k]), text, Array.isArray(textposition) ? textposition[k] : textposition));
+        });
+        return boxes.length > 6 && boxes.every((a, i) => boxes.every((b, k) => i === k || !overlap(a, b)));";
+    browser.wait("numbers that do not collide", &format!("(() => {{ {apart} }})()"));
     assert_eq!(browser.errors(), Vec::<String>::new());
 }
 
@@ -270,7 +458,7 @@ fn five_hundred_patches_stay_a_page() {
     let out = five_hundred(&CORNER);
     let page = page_of(&out);
     eprintln!("500 patches: {} bytes", page.len());
-    assert!(page.len() < MOST_BYTES, "{} bytes", page.len());
+    assert!(page.len() < MOST_BYTES_OF_ALL, "{} bytes", page.len());
     assert!(own(&page).contains("Positions of 500 patches"));
     let Some(browser) = Browser::open() else { return };
     let file = CORNER.path("large.html");

@@ -12,26 +12,28 @@ const LOGARITHMIC: f64 = 50.0;
 /// Standard errors in the band, to either side.
 const BAND: f64 = 2.0;
 
-/// Mean, error band and impulses.
+/// Mean, error band, fitted curve and impulses.
 pub fn profile(waveform: &Waveform) -> Drawn {
     let heights = waveform.impulses.iter().map(|impulse| impulse.amplitude_v);
     let (most, least) = (heights.clone().fold(0.0, f64::max), heights.clone().fold(f64::INFINITY, f64::min));
     let is_logarithmic = least > 0.0 && least.is_finite() && most > LOGARITHMIC * least;
     let floor_v = least / 10.0;
     let scaled = |value_v: f64| if is_logarithmic { value_v.max(floor_v).log10() } else { value_v };
-    let x = range(waveform.points.iter().map(|point| point.0), 0.0);
-    let y = range(waveform.points.iter().map(|point| scaled(point.1)).chain(heights.map(scaled)), 0.06);
+    let x = range(waveform.points.iter().map(|point| point.time_ps), 0.0);
+    let y = range(waveform.points.iter().map(|point| scaled(point.mean_v)).chain(heights.map(scaled)), 0.06);
     let text = |value: &f64| if is_logarithmic { power(*value) } else { number(value) };
     canvas((760, 420), |area| {
         let mut chart = axes(area, x, y, ("time of flight (ps)", "signal (V)"), text)?;
         let edge = |side: f64| {
-            let finite = waveform.points.iter().filter(|(_, _, se_v)| se_v.is_finite());
-            finite.map(move |(time_ps, mean_v, se_v)| (*time_ps, scaled(mean_v + side * BAND * se_v)))
+            let finite = waveform.points.iter().filter(|point| point.se_v.is_finite());
+            finite.map(move |point| (point.time_ps, scaled(point.mean_v + side * BAND * point.se_v)))
         };
         let band: Vec<(f64, f64)> = edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev()).collect();
         chart.draw_series([Polygon::new(band, VISIBLE.mix(0.25))])?;
-        let mean = waveform.points.iter().map(|(time_ps, mean_v, _)| (*time_ps, scaled(*mean_v)));
+        let mean = waveform.points.iter().map(|point| (point.time_ps, scaled(point.mean_v)));
         chart.draw_series([PathElement::new(mean.collect::<Vec<_>>(), VISIBLE.stroke_width(1))])?;
+        let fitted = waveform.points.iter().filter_map(|point| Some((point.time_ps, scaled(point.fitted_v?))));
+        chart.draw_series([PathElement::new(fitted.collect::<Vec<_>>(), HIDDEN.stroke_width(1))])?;
         for impulse in &waveform.impulses {
             let onset = waveform.onsets.iter().find(|onset| onset.time_ps == Some(impulse.time_ps));
             let colour = of_bounces(onset.and_then(|onset| onset.path.as_ref()).map_or(0, Vec::len));

@@ -22,7 +22,6 @@ pub fn section(report: &Report) -> Markup {
     };
     html! {
         section #answer {
-            (decisions(scene))
             h2 { "Where the surfaces are" }
             (space::figure(scene, report.image.as_ref()))
             @if let Some(whole) = &report.image { (image::image(whole)) }
@@ -54,50 +53,15 @@ pub fn summary(scene: &Scene) -> String {
         }
     }
     let found = if parts.is_empty() { "no patch".to_owned() } else { parts.join(", ") };
-    let left_open = match scene.ambiguities.len() {
-        0 => String::new(),
-        open => format!(" {} left open.", count(open, "question is", "questions are")),
-    };
     let given = match given.len() {
         0 => String::new(),
         anchors => format!(" {} given by campaign.toml.", count(anchors, "patch is", "patches are")),
     };
-    // What the rest depends on comes first: whether the data are explained, and of a relay wall whether there is
-    // anything.
-    let verdict = |(what, name): (&str, &str)| {
-        let row = scene.decisions.iter().find(|row| &*row.what == what);
-        row.map_or(String::new(), |row| format!("{name}: {}. ", row.chosen))
+    let surface = match scene.surface_points {
+        0 => String::new(),
+        points => format!(" {} of a hidden surface.", count(points, "point", "points")),
     };
-    let verdicts = [("hidden things", "Hidden things"), ("fit", "Fit"), ("waveforms", "Waveforms")].map(verdict);
-    format!("{}Patches found: {found}.{given}{left_open}", verdicts.concat())
-}
-
-/// What the solution rests on, each choice with its evidence; first of all, since all below depends on it.
-fn decisions(scene: &Scene) -> Markup {
-    html! {
-        @if !scene.decisions.is_empty() {
-            h2 { "What the answer rests on" }
-            div.scroll {
-                table.words {
-                    thead { tr { th.text { "choice" } th.text { "chosen" } th.text { "evidence" } th.text { "next best" } th.text { "what would change it" } } }
-                    tbody {
-                        @for row in &scene.decisions {
-                            tr {
-                                td.text { (row.what) }
-                                td.text { (row.chosen) }
-                                td.text { (row.evidence) }
-                                td.text {
-                                    (row.runner_up.as_deref().unwrap_or("-"))
-                                    @if let Some(ratio) = row.log_likelihood_ratio { ", log-likelihood less by " (sig(ratio, 3)) }
-                                }
-                                td.text { (row.would_change) }
-                            }
-                        }
-                    }
-                }
-            }
-        }
-    }
+    format!("Patches found: {found}.{given}{surface}")
 }
 
 fn open_questions(scene: &Scene) -> Markup {
@@ -105,7 +69,7 @@ fn open_questions(scene: &Scene) -> Markup {
         return html! {};
     }
     html! {
-        h3 { "What is left open" }
+        h3 #open { "What is left open" }
         ul.notes {
             @for open in &scene.ambiguities {
                 li {
@@ -140,7 +104,7 @@ fn positions(scene: &Scene) -> Markup {
     html! {
         details open[scene.patches.len() <= 30] {
             summary { "Positions of " (count(scene.patches.len(), "patch", "patches")) }
-            div.scroll {
+            div.scroll tabindex="0" role="region" aria-label="positions" {
                 table.numbers {
                     thead { tr { th { "patch" } th.text { "kind" } th { "x (m)" } th { "y (m)" } th { "z (m)" } th { "sd (mm)" } th { "onsets" } } }
                     tbody {
@@ -170,7 +134,7 @@ fn planes(scene: &Scene) -> Markup {
     html! {
         @if !scene.planes.is_empty() {
             h3 { "Planes through patches" }
-            div.scroll {
+            div.scroll tabindex="0" role="region" aria-label="planes" {
                 table.numbers {
                     thead { tr { th { "plane" } th.text { "patches" } th { "normal" } th { "offset (m)" } th { "sd of the normal (mrad)" } th { "rms (mm)" } } }
                     tbody {

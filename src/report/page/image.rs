@@ -22,7 +22,7 @@ pub fn image(image: &Image) -> Markup {
         }
         div.pair {
             @for (n, (view, projection)) in image.projections.iter().enumerate() {
-                (figure(&format!("image-{n}"), 360, &plot(projection), &html! { "The image " (view) ": largest significance along the line of sight." }))
+                (figure(&format!("image-{n}"), 360, &plot(projection), &format!("The image {view}. {}", alternative(image)), &html! { "The image " (view) ": largest significance along the line of sight." }))
             }
         }
         p.note {
@@ -34,6 +34,14 @@ pub fn image(image: &Image) -> Markup {
             "Light counts from " (sig(whole.gate_ps, 4)) " ps behind that of the wall. Beside a bright surface voxels may be echoes of the method. Table " code { (image.heading) } "."
         }
     }
+}
+
+fn alternative(image: &Image) -> String {
+    let whole = &image.whole;
+    let largest = whole
+        .largest
+        .map_or(String::new(), |largest| format!(", the brightest by {} standard deviations", sig(largest, 3)));
+    format!("{} brighter than noise{largest}.", count(whole.voxels as usize, "voxel", "voxels"))
 }
 
 fn plot(projection: &Projection) -> Plot {

@@ -1,14 +1,19 @@
 //! The page: one HTML file that needs no network, light and dark, readable on a phone and printable.
 
 mod answer;
+mod distances;
+mod growth;
 mod image;
+mod onsets;
 mod patches;
 mod plot;
+mod profiles;
 mod provenance;
-mod solution;
+mod residuals;
+mod sensors;
 mod space;
 mod stir;
-mod waves;
+mod verdict;
 mod words;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -17,38 +22,33 @@ use super::Report;
 use crate::store::Digest;
 
 const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+/// One file a figure that the page draws itself; the last one calls the others.
+const SCRIPT: &str =
+    concat!("\"use strict\";\n", include_str!("profile.js"), include_str!("labels.js"), include_str!("page.js"));
 
 /// The page.
 #[must_use]
 pub fn page(report: &Report) -> String {
     let campaigns: Vec<&str> = report.provenance.campaigns().map(|(name, _)| name).collect();
     let title = if campaigns.is_empty() { report.folder.clone() } else { campaigns.join(", ") };
-    let sections = [
-        ("answer", "Answer"),
-        ("patches", "Patches"),
-        ("stir", "Response of the scene"),
-        ("profiles", "Profiles"),
-        ("response", "Sensors"),
-        ("residuals", "Residuals"),
-        ("distances", "Distances"),
-        ("rejects", "Set aside"),
-        ("provenance", "Origin"),
-    ];
     let body = html! {
+        a.skip href="#main" { "Skip to the answer" }
         header {
             h1 { (title) }
             p.lead { (lead(report)) }
-            nav { @for (id, name) in sections.iter().filter(|(id, _)| *id != "patches" || report.scene.is_some()) { a href={ "#" (id) } { (name) } } }
+            (verdict::verdict(report))
+            nav aria-label="sections" { @for (id, name) in sections(report) { a href={ "#" (id) } { (name) } } }
         }
-        main {
+        main #main {
+            (verdict::decisions(report))
             (answer::section(report))
+            (profiles::section(report))
+            (residuals::section(report))
             (patches::section(report))
             (stir::section(report))
-            (waves::profiles(report))
-            (waves::responses(report))
-            (solution::residuals(report))
-            (solution::distances(report))
+            (sensors::responses(report))
+            (distances::section(report))
+            (growth::section(report))
             (provenance::rejects(report))
             (provenance::section(report))
         }
@@ -76,6 +76,31 @@ pub fn page(report: &Report) -> String {
     page.into_string()
 }
 
+/// Addresses and names of the sections that there are.
+fn sections(report: &Report) -> Vec<(&'static str, &'static str)> {
+    let mut sections = vec![
+        ("decisions", "Decisions"),
+        ("answer", "Answer"),
+        ("profiles", "Profiles"),
+        ("residuals", "Residuals"),
+        ("patches", "Patches"),
+        ("stir", "STIR"),
+        ("response", "Sensors"),
+        ("distances", "Distances"),
+        ("growth", "Growth"),
+        ("rejects", "Rejected"),
+        ("provenance", "Origin"),
+    ];
+    let has_decisions = report.scene.as_ref().is_some_and(|scene| !scene.decisions.is_empty());
+    sections.retain(|(id, _)| match *id {
+        "decisions" => has_decisions,
+        "patches" => report.scene.is_some(),
+        "growth" => report.growth.steps.len() > 1,
+        _ => true,
+    });
+    sections
+}
+
 /// The word by which the page's own scripts are known: a digest of all else, so that nothing in a table can hold it.
 fn nonce(body: &Markup) -> String {
     Digest::of_bytes(body.0.as_bytes()).to_string()
@@ -89,7 +114,6 @@ fn policy(nonce: &str) -> String {
 }
 
 fn lead(report: &Report) -> Markup {
-    let rejects = report.provenance.rejects;
     html! {
         @match &report.scene {
             Some(scene) => { (answer::summary(scene)) }
@@ -99,7 +123,6 @@ fn lead(report: &Report) -> Markup {
             }
         }
         @if let Some(residuals) = &report.residuals { " Residuals have a root mean square of " (words::sig(residuals.rms, 3)) " standard deviations." }
-        @if rejects > 0 { " " a href="#rejects" { (words::count(rejects, "record was", "records were")) " set aside" } "." }
     }
 }
 

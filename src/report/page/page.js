@@ -1,10 +1,9 @@
-"use strict";
 // Draws each plot when it comes into view, in the colours of the page; leads from a patch to its onsets, and from an onset to its profile.
 (() => {
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const parsed = (id) => JSON.parse(document.getElementById(id).textContent);
   const config = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
-  const drawn = new Map(); // plot element -> its figure as stored
+  const drawn = new Map(); // plot element -> what makes its figure
 
   const themed = (layout) => {
     const ink = colour("--ink"), line = colour("--line");
@@ -19,23 +18,25 @@
     return theme;
   };
 
-  const show = (plot, figure) => {
-    drawn.set(plot, figure);
-    return Plotly.react(plot, figure.data, themed(figure.layout), config);
+  const show = (plot, figure, again = () => figure) => {
+    drawn.set(plot, again);
+    // Buttons over a small plot would cover its legend.
+    return Plotly.react(plot, figure.data, themed(figure.layout), { ...config, displayModeBar: plot.clientWidth > 640 ? "hover" : false });
   };
 
   // The viewer of profiles.
   const viewer = document.getElementById("profile");
   const choice = document.getElementById("profile-choice");
-  let profiles = null, scale = null;
+  let profiles = null, isLinear = false;
   const choose = (id) => {
     profiles ??= parsed(viewer.dataset.viewer);
     if (!(id in profiles)) return false;
     choice.value = id;
-    const { figure, note } = profiles[id];
-    const layout = { ...figure.layout, yaxis: { ...figure.layout.yaxis, type: scale ?? figure.layout.yaxis.type } };
-    document.getElementById("profile-note").textContent = note;
-    show(viewer, { data: figure.data, layout });
+    const record = profiles[id];
+    document.getElementById("profile-note").textContent = `${record.name}: ${record.note}`;
+    viewer.setAttribute("aria-label", `Profile ${record.name} with its fitted curve and residuals`);
+    document.querySelector("#profile-pulses .scroll").replaceChildren(pulseTable(record));
+    show(viewer, profileFigure(record, isLinear, colour), () => profileFigure(record, isLinear, colour));
     return true;
   };
   if (viewer) {
@@ -43,8 +44,10 @@
     choice.addEventListener("change", () => choose(choice.value));
     document.getElementById("profile-before").addEventListener("click", () => beside(-1));
     document.getElementById("profile-after").addEventListener("click", () => beside(1));
-    document.getElementById("profile-scale").addEventListener("click", () => {
-      scale = viewer.layout.yaxis.type === "log" ? "linear" : "log";
+    const toggle = document.getElementById("profile-scale");
+    toggle.addEventListener("click", () => {
+      isLinear = !isLinear;
+      toggle.setAttribute("aria-pressed", isLinear);
       choose(choice.value);
     });
   }
@@ -52,12 +55,31 @@
   const draw = async (plot) => {
     if (drawn.has(plot)) return;
     if (plot === viewer) { choose(choice.value); return; }
-    await show(plot, parsed(plot.id + "-data"));
-    if (plot.id === "scene") plot.on("plotly_click", ({ points }) => {
+    const figure = parsed(plot.id + "-data");
+    // A narrow figure shows as much of the scene from farther away.
+    const eye = figure.layout.scene?.camera?.eye;
+    if (eye && plot.clientWidth < 600) for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
+    await show(plot, figure);
+    if (plot.id !== "scene") return;
+    plot.on("plotly_click", ({ points }) => {
       const id = points[0].id ?? points[0].data.ids?.[points[0].pointNumber];
       if (id !== undefined) location.hash = "patch-" + id;
     });
+    keepLabelsApart(plot);
   };
+
+  // The scene is turned by buttons too: about the vertical, up and down, nearer and farther.
+  const scene = document.getElementById("scene");
+  const turn = (how) => {
+    const { x, y, z } = scene.layout?.scene?.camera?.eye ?? scene._fullLayout.scene.camera.eye;
+    const far = Math.hypot(x, y, z) * ({ nearer: 0.8, farther: 1.25 }[how] ?? 1);
+    const around = Math.atan2(y, x) + ({ left: -0.3, right: 0.3 }[how] ?? 0);
+    const height = Math.atan2(z, Math.hypot(x, y)) + ({ up: 0.2, down: -0.2 }[how] ?? 0);
+    const over = Math.min(1.5, Math.max(-1.5, height));
+    const eye = { x: far * Math.cos(over) * Math.cos(around), y: far * Math.cos(over) * Math.sin(around), z: far * Math.sin(over) };
+    Plotly.relayout(scene, { "scene.camera.eye": eye });
+  };
+  document.querySelectorAll("[data-turn]").forEach((button) => button.addEventListener("click", () => { if (drawn.has(scene)) turn(button.dataset.turn); }));
 
   const follow = () => {
     const id = decodeURIComponent(location.hash.slice(1));
@@ -76,6 +98,6 @@
   const sheet_px = 660;
   addEventListener("beforeprint", () => plots.forEach((plot) => { draw(plot); Plotly.relayout(plot, { width: sheet_px }); }));
   addEventListener("afterprint", () => plots.forEach((plot) => Plotly.relayout(plot, { width: null, autosize: true })));
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((figure, plot) => show(plot, figure)));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((again, plot) => show(plot, again(), again)));
   follow();
 })();

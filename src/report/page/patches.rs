@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::solution::onsets;
+use super::onsets;
 use super::words::count;
 use crate::report::Report;
 use crate::report::arrivals::doubt;
@@ -34,7 +34,7 @@ pub fn section(report: &Report) -> Markup {
                 @let over = by_doubt(report, patch);
                 details.patch id={ "patch-" (patch) } {
                     summary { "Patch " (patch) " (" (placed.patch.kind) "): " (count(over.len(), "onset", "onsets")) }
-                    (onsets(report, over.iter().take(longest).copied()))
+                    (onsets::table(report, over.iter().take(longest).copied()))
                     p.note {
                         @if over.len() > longest { "The " (longest) " farthest off of " (over.len()) ". " }
                         "All, back to the raw exposures: " code { "periscope explain " (report.folder) " patch=" (patch) }

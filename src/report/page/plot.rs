@@ -26,11 +26,11 @@ pub fn bounces_text(bounces: usize) -> &'static str {
     ["no path known", "1st bounce", "2nd bounce", "3rd bounce", "4th bounce and later"][bounces.min(4)]
 }
 
-/// A plot of some height with a caption.
-pub fn figure(id: &str, height_px: u32, plot: &Plot, caption: &Markup) -> Markup {
+/// A plot of some height with a caption; `alternative` says what it shows to whom cannot see it.
+pub fn figure(id: &str, height_px: u32, plot: &Plot, alternative: &str, caption: &Markup) -> Markup {
     html! {
         figure {
-            div.plot id=(id) style={ "height:" (height_px) "px" } {}
+            div.plot id=(id) role="img" aria-label=(alternative) style={ "height:" (height_px) "px" } {}
             (data(&format!("{id}-data"), &plot.to_json()))
             figcaption { (caption) }
         }

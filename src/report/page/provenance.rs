@@ -11,17 +11,17 @@ pub fn rejects(report: &Report) -> Markup {
     let provenance = &report.provenance;
     html! {
         section #rejects {
-            h2 { "What was set aside" }
+            h2 { "What was rejected" }
             @let left_out = provenance.last_run.as_ref().map_or(&[][..], |run| &run.left_out);
             @if provenance.rejects == 0 && left_out.is_empty() {
                 p { "Nothing: every record of the campaign went in." }
             }
             @for line in left_out { p { (line) "." } }
             @if provenance.rejects > 0 {
-                p { (count(provenance.rejects, "record was", "records were")) " set aside, for " (count(provenance.reasons, "reason", "reasons")) "; the rest went on without them." }
-                div.scroll {
+                p { (count(provenance.rejects, "record was", "records were")) " rejected, for " (count(provenance.reasons, "reason", "reasons")) "; the rest went on without them." }
+                div.scroll tabindex="0" role="region" aria-label="rejected records" {
                     table.numbers {
-                        thead { tr { th { "records" } th.text { "stage" } th.text { "reason, and the mend" } th.text { "the first" } } }
+                        thead { tr { th { "records" } th.text { "stage" } th.text { "reason, and the fix" } th.text { "the first" } } }
                         tbody {
                             @for rejected in &provenance.rejected {
                                 @let first = &rejected.first;
@@ -52,7 +52,7 @@ pub fn section(report: &Report) -> Markup {
             h2 { "Where it comes from" }
             @if let Some(run) = &provenance.last_run { (last_run(run, provenance.runs)) }
             @if let Some(run) = &provenance.last_work { (times(run)) }
-            div.scroll {
+            div.scroll tabindex="0" role="region" aria-label="tables" {
                 table.numbers {
                     thead { tr { th { "table" } th.text { "stage" } th.text { "from" } th.text { "parameters" } th { "rows" } th { "size" } th { "parts" } th { "lineage" } } }
                     tbody {

@@ -1,30 +1,63 @@
-//! The scene in space, to be turned: patches with their error ellipsoids, laser and sensors, paths of light.
+//! The scene in space, to be turned: patches as disks with their error ellipsoids, planes and walls, surfaces, laser
+//! and sensors, paths of light. `labels.js` sees to it that numbers do not collide.
+
+mod meshes;
+
+use std::collections::BTreeMap;
 
 use maud::{Markup, html};
-use plotly::common::{ColorScale, ColorScalePalette, DashType, Line, Marker, MarkerSymbol, Mode, Position, Visible};
-use plotly::layout::{AspectMode, Axis, LayoutScene, Legend, Margin};
-use plotly::{Layout, Mesh3D, Plot, Scatter3D, Trace};
+use plotly::common::{
+    ColorBar, ColorScale, ColorScalePalette, DashType, Line, Marker, MarkerSymbol, Mode, Position, ThicknessMode,
+    Title, Visible,
+};
+use plotly::layout::{AspectMode, Axis, Camera, Eye, LayoutScene, Legend, Margin};
+use plotly::{Layout, Plot, Scatter3D, Trace};
 
 use super::plot::{HIDDEN, MIRROR, PALE, STATION, VISIBLE, short};
-use super::words::{metres, millimetres, sig};
+use super::words::{count, metres, millimetres, sig};
 use crate::report::image::Image;
 use crate::report::scene::{Placed, Ray, Scene};
+use crate::tables::SurfacePoint;
 
-/// Rings and sectors of a drawn ellipsoid.
-const RINGS: usize = 6;
-const SECTORS: usize = 10;
-/// Ellipsoids that are drawn at most: beyond, points alone.
-const ELLIPSOIDS: usize = 600;
 /// Most patches with numbers next to them.
 const NUMBERED: usize = 60;
 /// Margin around the scene, as a share of its extent.
 const MARGIN: f64 = 0.12;
+/// Length of the bar of colours.
+const SURFACE_BAR_PX: usize = 240;
+/// Laser beams drawn at most, and lines of sight.
+const BEAMS: usize = 100;
+/// How faint places are that the data allow beside the best.
+const ALTERNATIVE: f64 = 0.5;
+/// Where the view is from, in sizes of the scene: so near that the scene fills the figure.
+const EYE: (f64, f64, f64) = (0.95, 0.95, 0.7);
 /// Digits of drawn coordinates.
 const DIGITS: i32 = 6;
 
 /// The figure.
 pub fn figure(scene: &Scene, image: Option<&Image>) -> Markup {
-    super::plot::figure("scene", 560, &plot(scene, image), &caption(scene))
+    html! {
+        (super::plot::figure("scene", 560, &plot(scene, image), &alternative(scene), &caption(scene)))
+        div.viewer role="group" aria-label="turn the view" {
+            @for (turn, name, sign) in [("left", "turn left", "◀"), ("right", "turn right", "▶"), ("up", "look from higher up", "▲"), ("down", "look from lower down", "▼"), ("nearer", "come nearer", "+"), ("farther", "go farther away", "−")] {
+                button type="button" data-turn=(turn) aria-label=(name) { (sign) }
+            }
+        }
+    }
+}
+
+fn alternative(scene: &Scene) -> String {
+    let of = |kind: &str| scene.patches.iter().filter(|placed| &*placed.patch.kind == kind).count();
+    let surface = match scene.surface_points {
+        0 => String::new(),
+        points => format!(", {} of a hidden surface", count(points, "point", "points")),
+    };
+    format!(
+        "The scene in space: {} visible, {} hidden patches{surface}, {}. The table of positions below has the same numbers.",
+        of("visible"),
+        of("hidden"),
+        count(scene.planes.len() + scene.walls.len(), "plane", "planes")
+    )
 }
 
 fn caption(scene: &Scene) -> Markup {
@@ -38,6 +71,11 @@ fn caption(scene: &Scene) -> Markup {
         @if scene.patches.iter().any(|placed| placed.semi_axes_m.is_some()) {
             "Ellipsoids are two standard deviations, drawn " strong { (sig(scene.ellipsoid_factor, 3)) " times" } " their size. "
         }
+        @if !scene.footprints.is_empty() { "Disks: " (scene.footprints.len()) " patches whose size and direction are known, true to scale. " }
+        @if scene.surface_points > 0 {
+            "Surface: " @if scene.surface.len() < scene.surface_points { (scene.surface.len()) " of " } (count(scene.surface_points, "point", "points")) ", coloured by standard deviation. "
+        }
+        @if !scene.rays.is_empty() { "Red: laser beam to the lit patches. " }
         @if let Some(frame) = frame { (frame) " " }
         @for reason in &scene.unread { "Its laser, sensors and paths are not drawn: " (reason) ". " }
         "Table " code { (scene.heading) } "."
@@ -54,15 +92,22 @@ fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
         let of_kind: Vec<&Placed> = scene.patches.iter().filter(|placed| &*placed.patch.kind == kind).collect();
         if !of_kind.is_empty() {
             plot.add_trace(points(&of_kind, kind, colour));
-            plot.add_traces(ellipsoids(&of_kind, scene.ellipsoid_factor, kind, colour));
+            plot.add_traces(meshes::ellipsoids(&of_kind, scene.ellipsoid_factor, kind, colour));
+            plot.add_traces(meshes::disks(&of_kind, &scene.footprints, kind, colour));
         }
+    }
+    plot.add_traces(meshes::planes(&scene.planes, &scene.patches));
+    plot.add_traces(meshes::walls(&scene.walls, extent_m(scene)));
+    if !scene.surface.is_empty() {
+        plot.add_trace(surface(&scene.surface));
     }
     if !scene.alternatives.is_empty() {
         let [x, y, z] = coordinates(scene.alternatives.iter().map(|patch| [patch.x_m, patch.y_m, patch.z_m]));
         let names =
             scene.alternatives.iter().map(|patch| format!("patch {}, alternative {}", patch.patch, patch.alternative));
         let marker = Marker::new().size(5).color(PALE).symbol(MarkerSymbol::CircleOpen);
-        let trace = Scatter3D::new(x, y, z).name("alternatives").mode(Mode::Markers).marker(marker);
+        let trace =
+            Scatter3D::new(x, y, z).name("alternatives").mode(Mode::Markers).marker(marker).opacity(ALTERNATIVE);
         plot.add_trace(trace.hover_text_array(names.collect()).hover_template("%{hovertext}<extra></extra>"));
     }
     if !scene.declined.is_empty() {
@@ -71,15 +116,8 @@ fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
         let trace = Scatter3D::new(x, y, z).name("not sure enough").mode(Mode::Markers).marker(marker);
         plot.add_trace(trace.hover_template("likeliest place of one more patch<extra></extra>"));
     }
-    let [x, y, z] = coordinates(scene.stations.values().copied());
-    if !x.is_empty() {
-        let marker = Marker::new().size(6).color(STATION).symbol(MarkerSymbol::Diamond);
-        let trace = Scatter3D::new(x, y, z).name("laser and sensors").mode(Mode::MarkersText).marker(marker);
-        let names = scene.stations.keys().cloned().collect();
-        plot.add_trace(
-            trace.text_array(names).text_position(Position::BottomCenter).hover_template("%{text}<extra></extra>"),
-        );
-    }
+    plot.add_traces(stations(&scene.stations));
+    plot.add_traces(beams(&scene.rays));
     let voxels = image.map_or(&[][..], |image| &image.points);
     if !voxels.is_empty() {
         plot.add_trace(bright(voxels));
@@ -88,13 +126,22 @@ fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
         [(true, "paths over hidden patches", HIDDEN), (false, "paths over visible patches", VISIBLE)]
     {
         let rays: Vec<&Ray> = scene.rays.iter().filter(|ray| ray.is_hidden == is_hidden && ray.bounces > 1).collect();
-        if !rays.is_empty() {
-            plot.add_trace(paths(&rays, name, colour, is_hidden));
-        }
+        plot.add_traces(paths(&rays, name, colour, is_hidden));
     }
-    // Bounded by what was found, so that one wide ellipsoid does not make all else small.
+    let legend = Legend::new()
+        .orientation(plotly::common::Orientation::Horizontal)
+        .y(-0.02)
+        .item_sizing(plotly::layout::ItemSizing::Constant);
+    let layout = Layout::new().scene(room(scene, voxels)).legend(legend);
+    plot.set_layout(layout.margin(Margin::new().left(0).right(0).top(0).bottom(0)));
+    plot
+}
+
+/// Axes bounded by what was placed, so that one wide ellipsoid does not make all else small.
+fn room(scene: &Scene, voxels: &[([f64; 3], f64)]) -> LayoutScene {
     let places = scene.patches.iter().map(Placed::at).chain(scene.stations.values().copied());
-    let places: Vec<[f64; 3]> = places.chain(voxels.iter().map(|(middle_m, _)| *middle_m)).collect();
+    let surface = scene.surface.iter().map(|point| [point.x_m, point.y_m, point.z_m]);
+    let places: Vec<[f64; 3]> = places.chain(surface).chain(voxels.iter().map(|(middle_m, _)| *middle_m)).collect();
     let bounds: [[f64; 2]; 3] = std::array::from_fn(|axis| {
         let along = || places.iter().map(|place| place[axis]);
         [along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)]
@@ -106,13 +153,86 @@ fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
         let shown = Axis::new().title(title);
         if beside_m > 0.0 { shown.range(vec![short(from - beside_m, 4), short(to + beside_m, 4)]) } else { shown }
     };
-    let room = LayoutScene::new().aspect_mode(AspectMode::Data).x_axis(axis(0)).y_axis(axis(1)).z_axis(axis(2));
-    let legend = Legend::new()
-        .orientation(plotly::common::Orientation::Horizontal)
-        .y(-0.02)
-        .item_sizing(plotly::layout::ItemSizing::Constant);
-    plot.set_layout(Layout::new().scene(room).legend(legend).margin(Margin::new().left(0).right(0).top(0).bottom(0)));
-    plot
+    let camera = Camera::new().eye(Eye::from(EYE));
+    LayoutScene::new().camera(camera).aspect_mode(AspectMode::Data).x_axis(axis(0)).y_axis(axis(1)).z_axis(axis(2))
+}
+
+/// The longest side of the box around all patches.
+fn extent_m(scene: &Scene) -> f64 {
+    let side = |axis: usize| {
+        let along = || scene.patches.iter().map(|placed| placed.at()[axis]);
+        along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min)
+    };
+    (0..3).map(side).fold(0.0, f64::max)
+}
+
+/// Laser and sensors; those that stand in one place share a name.
+fn stations(stations: &BTreeMap<String, [f64; 3]>) -> Vec<Box<dyn Trace>> {
+    let mut by_place: Vec<([f64; 3], Vec<&str>)> = Vec::new();
+    for (name, place) in stations {
+        match by_place.iter_mut().find(|(at, _)| at == place) {
+            Some((_, names)) => names.push(name),
+            None => by_place.push((*place, vec![name])),
+        }
+    }
+    if by_place.is_empty() {
+        return Vec::new();
+    }
+    let [x, y, z] = coordinates(by_place.iter().map(|(place, _)| *place));
+    let marker = Marker::new().size(6).color(STATION).symbol(MarkerSymbol::Diamond);
+    let trace = Scatter3D::new(x, y, z).name("laser and sensors").mode(Mode::MarkersText).marker(marker);
+    let names = by_place.iter().map(|(_, names)| names.join(", ")).collect();
+    vec![trace.text_array(names).text_position(Position::BottomCenter).hover_template("%{text}<extra></extra>")]
+}
+
+/// The laser's beam to the patches that it lights, and the line of sight of the sensors to those that they see.
+fn beams(rays: &[Ray]) -> Vec<Box<dyn Trace>> {
+    let leg = |of: fn(&[[f64; 3]]) -> &[[f64; 3]]| -> Vec<&[[f64; 3]]> {
+        let mut legs: Vec<&[[f64; 3]]> = Vec::new();
+        for leg in rays.iter().map(|ray| of(&ray.corners_m)) {
+            if !legs.contains(&leg) && legs.len() < BEAMS {
+                legs.push(leg);
+            }
+        }
+        legs
+    };
+    let first = leg(|corners| &corners[..2]);
+    let last = leg(|corners| &corners[corners.len() - 2..]);
+    let beam = lines(&first, "laser beam", STATION, 2.5, true);
+    beam.into_iter().chain(lines(&last, "sensors' lines of sight", PALE, 1.0, false)).collect()
+}
+
+/// Points of a hidden surface, coloured by their standard deviation.
+fn surface(points: &[SurfacePoint]) -> Box<dyn Trace> {
+    let [x, y, z] = coordinates(points.iter().map(|point| [point.x_m, point.y_m, point.z_m]));
+    let sds_mm: Vec<f64> = points.iter().map(|point| short(1e3 * point.sd_m, 3)).collect();
+    let text = |point: &SurfacePoint| {
+        format!(
+            "{} point of a surface<br>sd {}<br>chi-square / dof {}",
+            point.kind,
+            millimetres(point.sd_m),
+            sig(point.misfit, 2)
+        )
+    };
+    // Few points with large errors would leave one colour to all others.
+    let mut sorted = sds_mm.clone();
+    sorted.sort_by(f64::total_cmp);
+    let marker = Marker::new()
+        .size(3)
+        .color_array(sds_mm)
+        .cmin(sorted[0])
+        .cmax(sorted[sorted.len() * 9 / 10])
+        .color_scale(ColorScale::Palette(ColorScalePalette::Viridis))
+        .color_bar(
+            ColorBar::new()
+                .title(Title::with_text("sd (mm)"))
+                .thickness(12)
+                .x(0.0)
+                .len_mode(ThicknessMode::Pixels)
+                .len(SURFACE_BAR_PX),
+        );
+    let trace = Scatter3D::new(x, y, z).name("surface").mode(Mode::Markers).marker(marker);
+    trace.hover_text_array(points.iter().map(text).collect()).hover_template("%{hovertext}<extra></extra>")
 }
 
 /// Voxels of an image, coloured by their significance.
@@ -156,51 +276,29 @@ fn points(patches: &[&Placed], kind: &str, colour: &str) -> Box<dyn Trace> {
         .hover_template("%{hovertext}<extra></extra>")
 }
 
-/// All ellipsoids of one kind as one mesh: a sphere's corners, stretched by each covariance.
-fn ellipsoids(patches: &[&Placed], factor: f64, kind: &str, colour: &str) -> Vec<Box<dyn Trace>> {
-    let (mut corners, mut faces): (Vec<[f64; 3]>, Vec<[usize; 3]>) = (Vec::new(), Vec::new());
-    for placed in patches.iter().take(ELLIPSOIDS) {
-        let Some(axes) = placed.semi_axes_m else { continue };
-        let first = corners.len();
-        for ring in 0..=RINGS {
-            let polar = std::f64::consts::PI * ring as f64 / RINGS as f64;
-            for sector in 0..SECTORS {
-                let azimuth = std::f64::consts::TAU * sector as f64 / SECTORS as f64;
-                let unit = [polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos()];
-                let along = |axis: usize| (0..3).map(|k| unit[k] * axes[k][axis]).sum::<f64>();
-                corners.push(std::array::from_fn(|axis| placed.at()[axis] + 2.0 * factor * along(axis)));
-            }
-        }
-        for (ring, sector) in (0..RINGS).flat_map(|ring| (0..SECTORS).map(move |sector| (ring, sector))) {
-            let corner = |ring: usize, sector: usize| first + ring * SECTORS + sector % SECTORS;
-            let [a, b] = [corner(ring, sector), corner(ring, sector + 1)];
-            let [c, d] = [corner(ring + 1, sector), corner(ring + 1, sector + 1)];
-            faces.extend([[a, b, c], [b, d, c]]);
-        }
-    }
-    if faces.is_empty() {
-        return Vec::new();
-    }
-    let [x, y, z] = coordinates(corners.iter().copied());
-    let corner = |k: usize| -> Vec<usize> { faces.iter().map(|face| face[k]).collect() };
-    let mesh = Mesh3D::new(x, y, z, Some(corner(0)), Some(corner(1)), Some(corner(2)));
-    let mesh = mesh.color(colour.to_owned()).opacity(0.35).hover_info(plotly::common::HoverInfo::Skip);
-    vec![mesh.name(format!("{kind}: 2 sd")).legend_group(kind).show_legend(true)]
+fn paths(rays: &[&Ray], name: &str, colour: &str, is_shown: bool) -> Vec<Box<dyn Trace>> {
+    let corners: Vec<&[[f64; 3]]> = rays.iter().map(|ray| &ray.corners_m[..]).collect();
+    lines(&corners, name, colour, 1.0, is_shown)
 }
 
-fn paths(rays: &[&Ray], name: &str, colour: &str, is_shown: bool) -> Box<dyn Trace> {
+/// Lines through corners, all as one trace.
+fn lines(all: &[&[[f64; 3]]], name: &str, colour: &str, width: f64, is_shown: bool) -> Vec<Box<dyn Trace>> {
+    if all.is_empty() {
+        return Vec::new();
+    }
     let along = |axis: usize| -> Vec<Option<f64>> {
-        let ray = |ray: &&Ray| {
-            let corners = ray.corners_m.iter().map(|corner| Some(short(corner[axis], DIGITS)));
+        let one = |corners: &&[[f64; 3]]| {
+            let corners = corners.iter().map(|corner| Some(short(corner[axis], DIGITS)));
             corners.chain([None]).collect::<Vec<_>>()
         };
-        rays.iter().flat_map(ray).collect()
+        all.iter().flat_map(one).collect()
     };
-    Scatter3D::new(along(0), along(1), along(2))
+    let trace = Scatter3D::new(along(0), along(1), along(2))
         .name(name)
         .mode(Mode::Lines)
-        .line(Line::new().color(colour.to_owned()).width(1.0).dash(DashType::Solid))
+        .line(Line::new().color(colour.to_owned()).width(width).dash(DashType::Solid))
         .opacity(0.35)
         .hover_info(plotly::common::HoverInfo::Skip)
-        .visible(if is_shown { Visible::True } else { Visible::LegendOnly })
+        .visible(if is_shown { Visible::True } else { Visible::LegendOnly });
+    vec![trace]
 }

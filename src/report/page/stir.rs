@@ -24,11 +24,11 @@ const DIGITS: i32 = 5;
 pub fn section(report: &Report) -> Markup {
     html! {
         section #stir {
-            h2 { "What the scene sends back" }
+            h2 { "The space-time impulse response (STIR)" }
             @match &report.stir {
                 None => p { "This result folder keeps no deconvolved profiles (table " code { "stir" } ")." },
                 Some(stir) => {
-                    (figure("stir-plot", stir_height(stir), &stir_plot(stir), &html! {
+                    (figure("stir-plot", stir_height(stir), &stir_plot(stir), &alternative(stir), &html! {
                         "The space-time impulse response, the sensor's own response undone: each row is a seen patch, the slider is the lit one. "
                         "Brightness is signal over noise, as a power of ten; circles are onsets, coloured by their bounces. "
                         @if stir.images.len() < stir.lit {
@@ -41,6 +41,16 @@ pub fn section(report: &Report) -> Markup {
             }
         }
     }
+}
+
+fn alternative(stir: &Stir) -> String {
+    let onsets: usize = stir.images.iter().map(|image| image.onsets.len()).sum();
+    let unlabelled = stir.images.iter().flat_map(|image| &image.onsets).filter(|onset| onset.path.is_none()).count();
+    format!(
+        "Images of the signal over time of flight and seen patch, for {}: {}, {unlabelled} of them without a path.",
+        count(stir.images.len(), "lit patch", "lit patches"),
+        count(onsets, "onset", "onsets")
+    )
 }
 
 fn stir_height(stir: &Stir) -> u32 {
@@ -60,7 +70,7 @@ fn stir_plot(stir: &Stir) -> Plot {
         let visible = || if shown == 0 { Visible::True } else { Visible::False };
         let seen: Vec<String> = image.seen.iter().map(ToString::to_string).collect();
         let levels: Vec<Vec<f64>> =
-            image.levels.iter().map(|row| row.iter().map(|level| (level * 100.0).round() / 100.0).collect()).collect();
+            image.levels.iter().map(|row| row.iter().map(|level| (level * 10.0).round() / 10.0).collect()).collect();
         let bar = ColorBar::new().title(Title::with_text("log10 S/N")).thickness(12);
         let heat = HeatMap::new(times_ps.clone(), seen, levels)
             .color_scale(ColorScale::Palette(ColorScalePalette::Viridis))
@@ -68,7 +78,7 @@ fn stir_plot(stir: &Stir) -> Plot {
             .zmax(top)
             .color_bar(bar)
             .visible(visible())
-            .hover_template("%{x:.0f} ps, seen %{y}<br>signal / noise 10^%{z:.2f}<extra></extra>");
+            .hover_template("%{x:.0f} ps, seen %{y}<br>signal / noise 10^%{z:.1f}<extra></extra>");
         plot.add_trace(heat);
         traces.push(shown);
         for bounces in 0..4 {

@@ -1,4 +1,6 @@
-//! Numbers in words.
+//! Numbers in words, and words of tables.
+
+use maud::{Markup, html};
 
 /// A value with `digits` significant digits, without trailing zeros after the point; powers of ten where it is very
 /// large or small.
@@ -55,9 +57,23 @@ pub fn seconds(value_s: f64) -> String {
     }
 }
 
+/// Words of a table, with what stands between backticks as code.
+pub fn marked(text: &str) -> Markup {
+    html! {
+        @for (n, part) in text.split('`').enumerate() {
+            @if n % 2 == 1 { code { (part) } } @else { (part) }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_between_backticks_are_code() {
+        assert_eq!(marked("`a<b>` in c").into_string(), "<code>a&lt;b&gt;</code> in c");
+    }
 
     #[test]
     fn numbers_read_well() {

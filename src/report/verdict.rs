@@ -1,0 +1,223 @@
+//! Whether the answer is to be believed: what `decisions` say of it, else what its fit says, in one word with reasons.
+
+use super::arrivals::Arrivals;
+use super::provenance::Provenance;
+use super::scene::Scene;
+use crate::geometry::maximum_likelihood::by_chance;
+use crate::signal::tails::chi_square;
+use crate::store::runs::Ending;
+use crate::tables::{Decision, Fit};
+
+/// Share of the onsets without a path from which the answer explains the light in part only.
+const PATHLESS: f64 = 0.15;
+
+/// The word.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Word {
+    /// The model explains the data.
+    Explained,
+    /// All but for what is named.
+    ExplainedInPart,
+    /// Nothing checks the answer.
+    Unchecked,
+    /// The pipeline asks for no positions.
+    NotAsked,
+    /// The data show nothing, or do not tell.
+    NothingFound,
+    /// The model does not explain the data.
+    NotExplained,
+    /// The last run did not end.
+    Unfinished,
+    /// The last run failed.
+    Failed,
+}
+
+impl Word {
+    /// As it is read.
+    pub fn text(self) -> &'static str {
+        match self {
+            Self::Explained => "Explained",
+            Self::ExplainedInPart => "Explained in part",
+            Self::Unchecked => "Not checked",
+            Self::NotAsked => "No positions asked for",
+            Self::NothingFound => "Nothing found",
+            Self::NotExplained => "Not explained",
+            Self::Unfinished => "Not finished",
+            Self::Failed => "The run failed",
+        }
+    }
+}
+
+/// How well the solution fits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Goodness {
+    /// Chi-square of the solution.
+    pub chi2: f64,
+    /// Its degrees of freedom.
+    pub freedom: usize,
+    /// Whether standard deviations were made larger before, because the model did not explain the onsets.
+    pub is_widened: bool,
+}
+
+impl Goodness {
+    fn of(fit: &Fit) -> Option<Self> {
+        let freedom = usize::try_from(fit.degrees_of_freedom).ok().filter(|freedom| *freedom > 0)?;
+        Some(Self { chi2: fit.chi2, freedom, is_widened: is_widened(fit) })
+    }
+
+    /// Chance that a right model leaves as much.
+    pub fn p_value(&self) -> f64 {
+        chi_square(self.chi2, self.freedom)
+    }
+}
+
+/// The verdict.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Verdict {
+    /// In a word.
+    pub word: Word,
+    /// Why, a sentence each.
+    pub reasons: Vec<String>,
+    /// The fit; `None` where a pipeline keeps none, or no onset checks it.
+    pub goodness: Option<Goodness>,
+}
+
+impl Verdict {
+    /// The worst of what run, decisions and fit say.
+    pub fn of(provenance: &Provenance, scene: Option<&Scene>, arrivals: &Arrivals) -> Self {
+        let mut remarks: Vec<(Word, String)> = ending(provenance).into_iter().collect();
+        match scene {
+            None => remarks.push((Word::NotAsked, "no stage of this pipeline solves for positions".to_owned())),
+            Some(scene) => {
+                remarks.extend(of_scene(scene));
+                let paths: Vec<bool> = arrivals.iter().map(|onset| onset.path.is_some()).collect();
+                remarks.extend(pathless(paths.iter().filter(|has_path| !**has_path).count(), paths.len()));
+            }
+        }
+        remarks.sort_by_key(|(word, _)| std::cmp::Reverse(*word));
+        let word = remarks.first().map_or(Word::Unchecked, |(word, _)| *word);
+        // What is well is told only where all is.
+        let remarks = remarks.into_iter().filter(|(of, _)| *of > Word::Explained || word == Word::Explained);
+        let goodness = scene.and_then(|scene| scene.fit.as_ref()).and_then(Goodness::of);
+        Self { word, reasons: remarks.map(|(_, reason)| reason).collect(), goodness }
+    }
+}
+
+/// What is odd about the last run.
+fn ending(provenance: &Provenance) -> Option<(Word, String)> {
+    let run = provenance.last_run.as_ref()?;
+    match run.ending {
+        Some(Ending::Done) => None,
+        Some(Ending::Failed) => {
+            let why = run.failure.as_deref().unwrap_or("its record does not say why");
+            Some((Word::Failed, format!("{why}; what stands below is of earlier work")))
+        }
+        Some(Ending::Interrupted) => {
+            Some((Word::Unfinished, "the last run was interrupted; the same command goes on from there".to_owned()))
+        }
+        None => Some((Word::Unfinished, "the last run still works, or was killed".to_owned())),
+    }
+}
+
+/// Whether many onsets have no path, where some have: the model then has no word for much of the light.
+fn pathless(count: usize, all: usize) -> Option<(Word, String)> {
+    let is_many = count < all && count as f64 > PATHLESS * all as f64;
+    is_many.then(|| (Word::ExplainedInPart, format!("labels: {count} of {all} onsets have no path over the patches")))
+}
+
+fn of_scene(scene: &Scene) -> Vec<(Word, String)> {
+    let mut remarks: Vec<(Word, String)> = scene.decisions.iter().filter_map(of_decision).collect();
+    let is_searched = !scene.searches.is_empty();
+    if !remarks.iter().any(|(_, reason)| reason.starts_with("fit: ")) && !is_searched {
+        remarks.extend(scene.fit.as_ref().map(of_fit));
+    }
+    if scene.patches.iter().all(|placed| scene.anchors.contains(&placed.patch.patch))
+        && scene.surface.is_empty()
+        && !is_searched
+    {
+        remarks.push((Word::NothingFound, "no patch has a position".to_owned()));
+    }
+    if remarks.is_empty() {
+        let chi2_dof = scene.patches.iter().find_map(|placed| placed.patch.chi2_dof);
+        let chi2_dof = chi2_dof.map_or(String::new(), |chi2_dof| {
+            format!("; chi-square per degree of freedom is {chi2_dof:.2}, of a number that is not kept")
+        });
+        remarks.push((Word::Unchecked, format!("this pipeline keeps neither decisions nor a row of `fits`{chi2_dof}")));
+    }
+    remarks
+}
+
+/// What a row of `decisions` says of the whole; `None` of one that is no verdict.
+fn of_decision(row: &Decision) -> Option<(Word, String)> {
+    let begins = |text: &str| row.chosen.starts_with(text);
+    let word = match &*row.what {
+        "fit" | "waveforms" if begins("not explained") => Word::NotExplained,
+        "fit" if begins("explained but") => Word::ExplainedInPart,
+        "fit" if begins("unchecked") || begins("anchors as given") => Word::Unchecked,
+        "hidden things" if begins("nothing") || begins("cannot be told") => Word::NothingFound,
+        "fit" | "waveforms" | "hidden things" => Word::Explained,
+        what if what.starts_with("response of ") && !begins("as wide as calibrated") => Word::ExplainedInPart,
+        _ => return None,
+    };
+    Some((word, format!("{}: {} ({})", row.what, row.chosen, row.evidence)))
+}
+
+/// The same of a solution without decisions.
+fn of_fit(fit: &Fit) -> (Word, String) {
+    let evidence = format!("chi-square {:.1} of {} degrees of freedom", fit.chi2, fit.degrees_of_freedom);
+    if fit.degrees_of_freedom < 1 {
+        (Word::Unchecked, format!("fit: as many unknowns as onsets ({evidence})"))
+    } else if is_widened(fit) {
+        (Word::NotExplained, format!("fit: standard deviations were made larger than noise makes them ({evidence})"))
+    } else if fit.chi2 <= by_chance(fit.degrees_of_freedom.into()) {
+        (Word::Explained, format!("fit: {evidence}"))
+    } else {
+        (Word::ExplainedInPart, format!("fit: a few onsets contradict the others ({evidence})"))
+    }
+}
+
+fn is_widened(fit: &Fit) -> bool {
+    fit.misfit > 1.0 || fit.widened.iter().any(|factor| *factor > 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fit(chi2: f64, misfit: f64) -> Fit {
+        Fit { chi2, degrees_of_freedom: 10, misfit, widened: vec![1.0; 4], ..Fit::default() }
+    }
+
+    #[test]
+    fn a_fit_is_judged_as_chance_has_it() {
+        assert_eq!(of_fit(&fit(9.0, 1.0)).0, Word::Explained);
+        // The 99.9 % point of ten degrees of freedom is 29.6.
+        assert_eq!((of_fit(&fit(29.0, 1.0)).0, of_fit(&fit(31.0, 1.0)).0), (Word::Explained, Word::ExplainedInPart));
+        assert_eq!(of_fit(&fit(9.0, 4.0)).0, Word::NotExplained);
+        // A table of chi-square: 18.307 is its 95 % point.
+        let goodness = Goodness::of(&fit(18.307, 1.0)).unwrap();
+        assert!((goodness.p_value() - 0.05).abs() < 1e-5, "{}", goodness.p_value());
+    }
+
+    #[test]
+    fn light_without_a_path_is_no_explanation() {
+        assert_eq!(pathless(11, 196), None);
+        assert_eq!(pathless(79, 251).map(|(word, _)| word), Some(Word::ExplainedInPart));
+        // Without any label there is nothing to judge.
+        assert_eq!(pathless(40, 40), None);
+    }
+
+    #[test]
+    fn decisions_are_judged_by_what_they_chose() {
+        let row =
+            |what: &str, chosen: &str| Decision { what: what.into(), chosen: chosen.into(), ..Decision::default() };
+        let word = |what: &str, chosen: &str| of_decision(&row(what, chosen)).map(|(word, _)| word);
+        assert_eq!(word("fit", "not explained: standard deviations are larger"), Some(Word::NotExplained));
+        assert_eq!(word("fit", "explained but for the onsets that `suspects` lists"), Some(Word::ExplainedInPart));
+        assert_eq!(word("waveforms", "not explained in 3 of 5 profiles"), Some(Word::NotExplained));
+        assert_eq!(word("hidden things", "nothing"), Some(Word::NothingFound));
+        assert_eq!(word("response of s1", "pulses are 9.0 % wider"), Some(Word::ExplainedInPart));
+        assert_eq!(word("response of s1", "as wide as calibrated"), None);
+        assert_eq!(word("labels", "3 of 4 pulses have a path"), None);
+    }
+}
