@@ -72,6 +72,17 @@ impl<'a> Sources<'a> {
         Ok(Vec::new())
     }
 
+    /// Rows that are wanted, of the table that another one was made with: `deconvolve` may have another calibration than
+    /// the solver.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn rows_behind<R: Row>(&self, other: &str, wanted: impl Fn(&R) -> bool) -> Result<Vec<R>, HistoryError> {
+        let behind = self.table(other).and_then(|other| self.ancestry.nearest(&other, R::TABLE));
+        let table = behind.or_else(|| self.table(R::TABLE));
+        table.map_or_else(|| Ok(Vec::new()), |table| self.ancestry.rows_near(&table, &[], wanted))
+    }
+
     /// Rows that are wanted and have one of these numbers in these columns: others need not be read.
     ///
     /// # Errors

@@ -13,7 +13,7 @@ use crate::history::behind::{CaptureKey, OnsetBehind};
 use crate::priors::calibration::Sensors;
 use crate::table;
 use crate::tables::stir::Impulse;
-use crate::tables::{Calibration, Name, Profile, Session};
+use crate::tables::{Calibration, Name, Profile, Row, Session};
 
 /// Profiles at most.
 const PROFILES: usize = 200;
@@ -66,7 +66,7 @@ table! {
         chi2_dof: Option<f64>,
         /// Standard deviation of a baseline that moves.
         ground_v: f64,
-        /// Width of the response over the calibration's.
+        /// Width of the response over that of the response captures.
         response_width: Option<f64>,
         /// Its standard deviation.
         response_width_sd: Option<f64>,
@@ -174,7 +174,7 @@ impl Waveforms {
         let key = |row: &Profile| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
         let averaged = sources.rows_near(&near, |row: &Profile| &*row.role == SCENE && wanted.contains(&key(row)))?;
         let instrument = Instrument {
-            sensors: Sensors::new(&sources.rows(|_: &Calibration| true)?),
+            sensors: Sensors::new(&sources.rows_behind(Explained::TABLE, |_: &Calibration| true)?),
             sessions: sources.rows(|_: &Session| true)?,
             campaigns,
         };
@@ -199,14 +199,17 @@ impl Instrument<'_> {
         let campaign = self.campaigns.by_name.get(&*row.campaign);
         let dead_time_ps = campaign.and_then(|campaign| campaign.sensors.get(&*row.sensor)?.dead_time_ps);
         let period_ps = campaign.and_then(|campaign| campaign.repetition_ps);
+        let sensor = self.sensors.of(row)?;
+        let [corrected, _] = sensor.1.width;
+        let width = explained.response_width.zip(explained.response_width_sd);
         let explanation = Explanation {
             impulses: &explained.impulses,
             chi2_dof,
-            width: explained.response_width.zip(explained.response_width_sd).map(|(factor, sd)| [factor, sd]),
+            width: width.map(|(factor, sd)| [factor / corrected, sd]),
             ground_v: explained.ground_v,
         };
         let of_campaign = (period_ps, dead_time_ps.unwrap_or(0.0));
-        Curve::of(row, self.sensors.of(row)?, &self.sessions, of_campaign, &explanation)
+        Curve::of(row, sensor, &self.sessions, of_campaign, &explanation)
     }
 }
 

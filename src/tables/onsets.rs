@@ -44,8 +44,8 @@ table! {
         covariance: Vec<f64>,
         /// Standard deviation of the time error that all onsets of the profile share.
         jitter_ps: f64,
-        /// Width of the response over that of the calibration, as all arrivals of the profile show it; null where they
-        /// tell nothing of it.
+        /// Width of the response over that of the response captures, as all arrivals of the profile show it; null where
+        /// they tell nothing of it.
         response_width: Option<f64>,
         /// Standard deviation of that.
         response_width_sd: Option<f64>,
