@@ -39,8 +39,8 @@ def answer(results="results", lit=1, seen=2, campaign=None):
     pieces = []
     # A record holds `samples` codes of its own type, little-endian.
     for (code_type, samples), alike in records.group_by("code_type", "samples"):
-        codes = pl.col("codes").bin.reinterpret(dtype=pl.Array(TYPES[code_type], samples), endianness="little")
-        pieces.append(alike.with_columns(code=codes.arr.to_list().cast(pl.List(pl.Float64)), sample=pl.int_ranges("samples")))
+        numbers = pl.col("codes").bin.reinterpret(dtype=pl.Array(TYPES[code_type], samples), endianness="little")
+        pieces.append(alike.with_columns(code=numbers.arr.to_list().cast(pl.List(pl.Float64)), sample=pl.int_ranges("samples")))
     return (
         pl.concat(pieces)
         .explode("code", "sample")

@@ -1,4 +1,4 @@
-//! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base, or as an index of these.
+//! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base, or an index of these.
 
 use std::ops::Range;
 
@@ -164,7 +164,8 @@ pub struct Records {
 }
 
 impl Records {
-    /// Adds a shared row, and returns its number. Its [`OwnColumns`] are ignored. `codes_file`: raw file with the codes.
+    /// Adds a shared row, and returns its number. Its [`OwnColumns`] are ignored. `codes_file` is the raw file with the
+    /// codes.
     pub fn share(&mut self, row: Trace, codes_file: Name) -> usize {
         self.shared.push(Shared { row, codes_file });
         self.shared.len() - 1
@@ -217,7 +218,7 @@ impl Records {
     #[must_use]
     pub fn to_batch(&self) -> RecordBatch {
         let rows = Trace::to_batch_of(self.own.iter().map(|own| &self.shared[own.shared].row));
-        self.with(
+        with(
             &rows,
             [
                 ("shot", self.column(|own| own.shot)),
@@ -234,7 +235,7 @@ impl Records {
     #[must_use]
     pub fn to_index(&self, rows: &RecordBatch, digest: impl Fn(&str) -> Option<Name>) -> RecordBatch {
         let digests: Vec<Option<Name>> = self.shared.iter().map(|shared| digest(&shared.codes_file)).collect();
-        self.with(
+        with(
             rows,
             [
                 ("codes", new_null_array(&Codes::data_type(), self.own.len())),
@@ -250,13 +251,13 @@ impl Records {
     fn column<C: Cell>(&self, cell: impl Fn(&OwnColumns) -> C) -> ArrayRef {
         C::build(self.own.iter().map(cell).collect::<Vec<_>>().iter())
     }
+}
 
-    /// Rows with some columns replaced.
-    fn with<const N: usize>(&self, rows: &RecordBatch, columns: [(&str, ArrayRef); N]) -> RecordBatch {
-        let (schema, mut all) = (Trace::schema(), rows.columns().to_vec());
-        for (name, array) in columns {
-            all[schema.index_of(name).expect("a column of the table")] = array;
-        }
-        RecordBatch::try_new(schema, all).expect("columns are built from their own schema")
+/// Rows with some columns replaced.
+fn with<const N: usize>(rows: &RecordBatch, columns: [(&str, ArrayRef); N]) -> RecordBatch {
+    let (schema, mut all) = (Trace::schema(), rows.columns().to_vec());
+    for (name, array) in columns {
+        all[schema.index_of(name).expect("a column of the table")] = array;
     }
+    RecordBatch::try_new(schema, all).expect("columns are built from their own schema")
 }

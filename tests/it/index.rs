@@ -137,13 +137,14 @@ fn tables_below_are_made_from_raw_files_again_and_the_index_stays_as_it_is() {
     let (after, fresh) = (lab.parts("out"), lab.parts("fresh"));
     assert!(fresh.iter().all(|(file, digest)| after[file] == *digest));
     // A part that is lacking takes no more than its own raw bytes, and none is read where nothing lacks.
-    let part = before.keys().find(|file| file.contains("/part-") && file.ends_with(".profiles.parquet")).unwrap();
-    fs::remove_file(lab.path("out").join(part)).unwrap();
-    let again = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     let whole: u64 = outcome.passes.iter().map(|pass| pass.raw_bytes).sum();
-    let read: u64 = again.passes.iter().map(|pass| pass.raw_bytes).sum();
-    assert!(read > 0 && 4 * read < whole, "{read} of {whole} bytes");
-    assert_eq!((stamps(&lab, "out", "traces"), lab.parts("out")), (traces, after));
+    for part in before.keys().filter(|file| file.contains("/part-") && file.ends_with(".profiles.parquet")) {
+        fs::remove_file(lab.path("out").join(part)).unwrap();
+        let again = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
+        let read: u64 = again.passes.iter().map(|pass| pass.raw_bytes).sum();
+        assert!(read > 0 && 2 * read < whole, "{read} of {whole} bytes");
+        assert_eq!((&stamps(&lab, "out", "traces"), &lab.parts("out")), (&traces, &after));
+    }
     let none = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     assert!(none.computed.is_empty() && none.passes.is_empty(), "{:?}", none.computed);
 }
@@ -153,11 +154,13 @@ fn a_lost_part_of_the_index_is_made_again_and_nothing_else() {
     let lab = in_parts();
     lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
     let (profiles, before) = (stamps(&lab, "out", "profiles"), lab.parts("out"));
-    let part = before.keys().find(|file| file.contains("/part-") && file.ends_with(".traces.parquet")).unwrap();
-    fs::remove_file(lab.path("out").join(part)).unwrap();
-    let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
-    assert_eq!(outcome.computed.len(), 1, "{:?}", outcome.computed);
-    assert_eq!((stamps(&lab, "out", "profiles"), lab.parts("out")), (profiles, before));
+    // One after the other: before some of them, and behind others, all parts stand.
+    for part in before.keys().filter(|file| file.contains("/part-") && file.ends_with(".traces.parquet")) {
+        fs::remove_file(lab.path("out").join(part)).unwrap();
+        let outcome = lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
+        assert_eq!(outcome.computed.len(), 1, "{:?}", outcome.computed);
+        assert_eq!((&stamps(&lab, "out", "profiles"), &lab.parts("out")), (&profiles, &before));
+    }
 }
 
 #[test]
@@ -176,8 +179,8 @@ fn an_index_is_a_small_part_of_what_it_points_to_and_an_archive_is_not() {
 /// An `import` of the table of traces of a result folder, and averages of it.
 fn imported(lab: &Lab, out: &str) -> String {
     let folder = lab.path(out).join("traces");
-    AVERAGES
-        .replace("stage = 'ingest'", &format!("stage = 'import'\nparams = {{ table = 'traces', path = {folder:?} }}"))
+    let import = format!("stage = 'import'\nparams = {{ table = 'traces', path = '{}' }}", folder.display());
+    AVERAGES.replace("stage = 'ingest'", &import)
 }
 
 #[test]
