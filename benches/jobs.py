@@ -4,7 +4,7 @@
 usage: jobs.py avg|each INPUT PEERS PERISCOPE WORK [--runs 5] [--strax PYTHON] [--dspeed PYTHON] [--limits PROGRAM] [--without-traces] [--sequences] [--cores]
 INPUT: folder with raw.npy (groups x repeats x samples, int16), impulse.npy, params.json, and raw.lh5, raw_each.lh5 for dspeed; PEERS: folder with
 bench_numpy_tuned.py and the like; the interpreters of --strax and --dspeed have those packages, this one numpy, scipy and pyarrow; --limits is a
-program that reads and sums a file, `limits FILE`, and prints its rates; --without-traces leaves out the runs that keep as many bytes again; --sequences reads the same shots from
+program that reads and sums a file, `limits FILE`, and prints its rates; --without-traces leaves out the runs that archive as many bytes again; --sequences reads the same shots from
 LeCroy sequences too, alone and with a reference channel (512 samples a shot, a pulse with noise) to which each is aligned; --cores confines runs to
 one core, and adds those of a job that computes more than it reads: impulses by sparse deconvolution in place of the fixed filter.
 Job avg: the shots of a capture averaged, deconvolved, timed (pipelines/average.toml). Job each: every shot for itself.
@@ -112,6 +112,12 @@ def sequences():
     open(f"{args.work}/aligned.toml", "w").write(aligned)
 
 
+def written(folder):
+    """Bytes of all files below a folder over those of the raw samples; a file with several names counts once."""
+    files = [os.lstat(os.path.join(root, name)) for root, _, names in os.walk(folder) for name in names]
+    return sum({file.st_ino: file.st_size for file in files}.values()) / (mb * 1e6)
+
+
 def once(command, cwd, cores=None):
     """Wall s, CPU s and peak MiB of a process that may use these cores, else all."""
     confine = (lambda: os.sched_setaffinity(0, cores)) if cores else None
@@ -131,7 +137,12 @@ text = open(os.path.join(here, "..", "pipelines", "average.toml")).read()
 if args.job == "each":  # the others keep onsets only
     for stage in ("average", "deconvolve"):
         text = text.replace(f'stage = "{stage}"', f'stage = "{stage}"\nkeep = false')
-for name, keep in (("plain", "keep = false"), ("kept", "keep = true"), ("open", 'keep = true\nparams = { compression = "none" }')):
+for name, keep in (
+    ("plain", "keep = false"),
+    ("index", "keep = true"),
+    ("kept", 'keep = true\nparams = { codes = "zstd" }'),
+    ("open", 'keep = true\nparams = { codes = "none" }'),
+):
     open(f"{args.work}/{name}.toml", "w").write(text.replace("keep = false", keep))
 text, filters = re.subn(r'params = \{ method = "wiener".*', 'params = { method = "sparse" }', text)
 text, edges = re.subn(r'params = \{ method = "leading-edge".*', 'params = { method = "impulses" }', text)
@@ -150,7 +161,7 @@ def ours(pipeline="plain", notes=True, threads=None, campaign="campaign", cores=
         os.makedirs(f"{out}/.shelf")
         shutil.copytree(kept, f"{out}/.shelf/notes")
     command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", campaign, "--out", out, "--progress", "none"]
-    return once(command + (["--threads", str(threads)] if threads else []), args.work, cores)
+    return once(command + (["--threads", str(threads)] if threads else []), args.work, cores) + (written(out),)
 
 
 def again(pipeline):
@@ -158,14 +169,14 @@ def again(pipeline):
     global changes
     changes += 1
     command = [args.periscope, "run", f"{pipeline}.toml", "--campaign", "campaign", "--out", out, "--progress", "none"]
-    return once(command + ["--set", f"profiles.recovery_ps={1000 + changes}"], args.work)
+    return once(command + ["--set", f"profiles.recovery_ps={1000 + changes}"], args.work) + (written(out),)
 
 
 def peer(name, python, script, *extra):
     folder = f"{args.work}/{name}"
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
-    return once([python, f"{args.peers}/{script}", args.input, folder, *extra], args.peers)
+    return once([python, f"{args.peers}/{script}", args.input, folder, *extra], args.peers) + (written(folder),)
 
 
 campaign(f"{args.work}/campaign")
@@ -193,10 +204,14 @@ if args.cores:
     jobs["periscope, hashes known, one core"] = lambda: ours(cores={0})
 if args.job == "avg":
     jobs["periscope, analysed again from raw files"] = lambda: again("plain")
+if args.job == "avg":
+    jobs["periscope, first run (hashes), traces as index (default)"] = lambda: ours("index", notes=False)
+    jobs["periscope, hashes known, traces as index"] = lambda: ours("index")
+    jobs["periscope, analysed again beside the index"] = lambda: again("index")
 if args.job == "avg" and not args.without_traces:
-    jobs["periscope, hashes known, traces kept, zstd"] = lambda: ours("kept")
+    jobs["periscope, hashes known, traces archived, zstd"] = lambda: ours("kept")
     jobs["periscope, analysed again from these"] = lambda: again("kept")
-    jobs["periscope, hashes known, traces kept, not compressed"] = lambda: ours("open")
+    jobs["periscope, hashes known, traces archived, not compressed"] = lambda: ours("open")
     jobs["periscope, analysed again from those"] = lambda: again("open")
 if args.strax:
     jobs["strax, 2 workers"] = lambda: peer("strax", args.strax, f"bench_{each}strax.py", "2")
@@ -210,14 +225,14 @@ for turn in range(args.runs + 1):  # turn 0 warms up
         result = job()
         if turn:
             results[name].append(result)
-base = [wall for wall, _, _ in results["numpy tuned, 2 threads"]]
+base = [wall for wall, *_ in results["numpy tuned, 2 threads"]]
 print(f"{mb:.0f} MB, {G} captures of {R} shots of {L} samples, {args.runs} runs in turn; load average {min(loads):.1f} to {max(loads):.1f}\n")
-print("| job | wall s (min, median, max) | MB/s (median) | CPU s | peak MiB | rate over numpy (paired: min, median, max) |\n|---|---|---|---|---|---|")
+print("| job | wall s (min, median, max) | MB/s (median) | CPU s | peak MiB | written / raw | rate over numpy (paired: min, median, max) |\n|---|---|---|---|---|---|---|")
 for name, result in results.items():
-    wall, cpu, rss = zip(*result)
+    wall, cpu, rss, bytes_written = zip(*result)
     ratio = [b / w for b, w in zip(base, wall)]
     med = statistics.median
-    print(f"| {name} | {min(wall):.3f}, {med(wall):.3f}, {max(wall):.3f} | {mb / med(wall):.0f} | {med(cpu):.2f} | {max(rss):.0f} | {min(ratio):.2f}, {med(ratio):.2f}, {max(ratio):.2f} |")
+    print(f"| {name} | {min(wall):.3f}, {med(wall):.3f}, {max(wall):.3f} | {mb / med(wall):.0f} | {med(cpu):.2f} | {max(rss):.0f} | {max(bytes_written):.3f} | {min(ratio):.2f}, {med(ratio):.2f}, {max(ratio):.2f} |")
 mine = pa.concat_tables([pq.read_table(f) for f in sorted(glob.glob(f"{out}/onsets/*.parquet"))]).sort_by([("lit", "ascending"), ("seen", "ascending")])
 reference = np.load(f"{args.work}/numpy/onsets.npy")
 samples = mine["time_ps"].to_numpy() / 50.0

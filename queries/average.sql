@@ -1,12 +1,14 @@
 -- The average of a capture by hand: the mean of all shots in volts, less its own first tenth (the baseline).
 -- Equal to `profiles.mean_v` where nothing is aligned and nothing rejected: no reference channel, every shot with the same t0_ps, `rejected` 0.
--- Elsewhere the difference is what aligning the shots is worth. Needs the table `traces` (keep = true), 8-bit signed codes.
+-- Elsewhere the difference is what aligning the shots is worth. Needs 8-bit signed codes in the table `traces` (`codes = "zstd"` under
+-- [traces]); of an index average.py reads the raw files.
 SET VARIABLE results = 'results';
 SET VARIABLE lit = 1;
 SET VARIABLE seen = 2;
 
 WITH records AS (
-    SELECT *, hex(codes) AS digits
+    SELECT *,
+        hex(coalesce(codes, error('the samples lie in ' || codes_file || '; `codes = "zstd"` under [traces] archives them'))) AS digits
     FROM read_parquet(getvariable('results') || '/traces/*.parquet')
     WHERE role = 'scene' AND NOT is_reference AND lit = getvariable('lit') AND seen = getvariable('seen') AND code_type = 'i8'
 ), samples AS (

@@ -1,6 +1,6 @@
 """Which shots made this patch: the exposures behind every onset that its position rests on, with file and segment.
 
-Needs the table `traces` (keep = true). `periscope explain RESULTS patch=3` says the same and more.
+Needs the table `traces`, an index or with its codes. `periscope explain RESULTS patch=3` says the same and more.
 
     python shots-of-patch.py RESULTS [PATCH]
 """

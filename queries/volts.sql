@@ -1,11 +1,13 @@
 -- Raw codes to volts: every sample of one capture's exposures, as recorded, at its time after the trigger.
--- Needs the table `traces` (keep = true). For integer codes (code_type i8, u8, i16...), which all scopes write; for floats see volts.py.
+-- Needs the table `traces` with its codes (`codes = "zstd"` under [traces]); of an index volts.py reads the raw files. For integer codes (code_type i8, u8, i16...), which all scopes write; for floats see volts.py.
 SET VARIABLE results = 'results';
 SET VARIABLE lit = 1;
 SET VARIABLE seen = 2;
 
 WITH records AS (
-    SELECT *, hex(codes) AS digits, CAST(code_type[2:] AS INTEGER) // 8 AS width
+    SELECT *,
+        hex(coalesce(codes, error('the samples lie in ' || codes_file || '; `codes = "zstd"` under [traces] archives them'))) AS digits,
+        CAST(code_type[2:] AS INTEGER) // 8 AS width
     FROM read_parquet(getvariable('results') || '/traces/*.parquet')
     WHERE role = 'scene' AND lit = getvariable('lit') AND seen = getvariable('seen') AND code_type[1] IN ('i', 'u')
 ), samples AS (

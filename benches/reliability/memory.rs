@@ -15,8 +15,9 @@ const BUDGET_MIB: usize = 128;
 const SHOTS: usize = 256;
 const SAMPLES: usize = 8192;
 
-/// Averages, deconvolution and onsets, all tables kept, the raw traces too.
-const PIPELINE: &str = "[traces]\nstage = 'ingest'\n[profiles]\nstage = 'average'\nfrom = 'traces'\n";
+/// Averages, deconvolution and onsets, all tables kept, the raw traces archived.
+const PIPELINE: &str =
+    "[traces]\nstage = 'ingest'\nparams = { codes = 'zstd' }\n[profiles]\nstage = 'average'\nfrom = 'traces'\n";
 
 /// `numbers`: sizes of the campaigns in MB.
 pub fn study(numbers: &[usize]) {

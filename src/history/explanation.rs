@@ -212,7 +212,11 @@ impl Explainer<'_> {
         let from = detected.unwrap_or(table);
         for (name, about, columns) in [
             ("profiles", "the captures", "shots, rejected, noise_v, jitter_ps"),
-            ("traces", "the raw records", "file, segment, channel, is_reference, shot"),
+            (
+                "traces",
+                "the raw records",
+                "file, segment, channel, is_reference, shot, codes_file, codes_offset_bytes, codes_stride_bytes",
+            ),
         ] {
             if let Some(table) = self.ancestry.nearest(from, name) {
                 queries.push(questions.captures(about, &table, columns, selection, is_joint)?);

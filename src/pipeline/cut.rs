@@ -45,7 +45,7 @@ fn parts(plan: &Plan<'_>, i: usize) -> usize {
 /// The nearest table above `first` that can be read, and the steps below it that are missing and can run.
 fn tree(plan: &Plan<'_>, first: usize, at: At) -> Tree {
     let is_stored = |i: usize| match at {
-        At::Part(part) => plan.spec.steps[i].keep && !lacks(plan, i, At::Part(part)),
+        At::Part(part) => plan.stands_in(i) && !plan.lacks(i, part),
         At::All => plan.replayable(i),
     };
     let mut root = first;
@@ -71,6 +71,14 @@ fn tree(plan: &Plan<'_>, first: usize, at: At) -> Tree {
             steps.push(i);
         }
     }
+    if let At::Part(part) = at
+        && steps == [root]
+        && plan.spec.steps[root].keep
+        && !plan.lacks(root, part)
+    {
+        // An index that stands, and nothing to be made of its samples.
+        steps.clear();
+    }
     (root, steps)
 }
 
@@ -79,7 +87,7 @@ fn tree(plan: &Plan<'_>, first: usize, at: At) -> Tree {
 fn lacks(plan: &Plan<'_>, i: usize, at: At) -> bool {
     let present = &plan.tables[i].present;
     match at {
-        At::Part(part) => present.get(part).is_none_or(Option::is_none),
+        At::Part(part) => plan.lacks(i, part),
         At::All if plan.streams(i) && plan.spec.steps[i].keep => {
             !present.is_empty() && present.iter().all(Option::is_none)
         }

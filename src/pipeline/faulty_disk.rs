@@ -18,9 +18,10 @@ use crate::store::runs::{Ending, RunRecord};
 use crate::store::verify::{repair, verify};
 use crate::store::{Digest, Gathered, Shelf};
 
-const PIPELINE: &str = "[calibration_traces]\nstage = 'ingest'\nparams = { roles = ['response'] }\n\
+/// An archive, and an index.
+const PIPELINE: &str = "[calibration_traces]\nstage = 'ingest'\nparams = { roles = ['response'], codes = 'zstd' }\n\
     [calibration]\nstage = 'calibrate'\nfrom = 'calibration_traces'\n\
-    [traces]\nstage = 'ingest'\nkeep = false\n\
+    [traces]\nstage = 'ingest'\n\
     [profiles]\nstage = 'average'\nfrom = 'traces'\nwith = { calibration = 'calibration' }\n";
 
 type Outcome = Result<(), String>;

@@ -12,6 +12,7 @@ use std::thread;
 use arrow_array::RecordBatch;
 use arrow_select::concat::concat_batches;
 use crossbeam_channel::{Receiver, Sender, bounded};
+use serde_json::Value;
 
 use super::budget::Budget;
 use super::plan::Plan;
@@ -34,6 +35,8 @@ const SMALL: usize = 1 << 20;
 enum Message {
     /// Rows of the open part, and the hold on memory that they come with.
     Rows(RecordBatch, Option<Credit>),
+    /// Rows of the open part for the shelf alone.
+    Stored(RecordBatch),
     /// The open part ends; its number, its lineage, and what its source rejected.
     PartEnd(usize, Digest, Vec<Rejection>),
     /// No more parts.
@@ -57,8 +60,8 @@ pub struct Pass {
 pub struct Joined {
     /// Source of the part.
     pub source: usize,
-    /// Content of the part.
-    pub content: Digest,
+    /// What the pieces learnt of its raw files.
+    pub learnt: Vec<Value>,
     /// Step below the source.
     pub step: usize,
     /// What that step makes of it.
@@ -267,14 +270,16 @@ fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Resul
         shared.go_on()?;
         if pass.steps.contains(&pass.root) {
             let source = &plan.sources[&pass.root];
-            let feed = Channel { shared, children };
-            let PartRead { content, rejections } = match &pass.joined {
+            let stores = plan.spec.steps[pass.root].keep && !plan.stands_in(pass.root) && plan.lacks(pass.root, part);
+            let feed = Channel { shared, children, stores };
+            let part_read = match pass.joined.as_ref().zip(source.divisible()) {
                 // A part with an exceptional shot cannot be joined from pieces; it is computed whole.
-                Some(joined) => PartRead { content: joined.content, rejections: Vec::new() },
-                None => source
-                    .read(part, shared.settings.batch_bytes, &feed)
-                    .map_err(|error| shared.failed(pass.root, error))?,
+                Some((joined, pieces)) => {
+                    pieces.join(part, &joined.learnt, &feed).map(|content| PartRead { content, rejections: Vec::new() })
+                }
+                None => source.read(part, shared.settings.batch_bytes, &feed),
             };
+            let PartRead { content, rejections } = part_read.map_err(|error| shared.failed(pass.root, error))?;
             shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
             let beside = plan.beside(pass.root).expect("a source has nothing beside it");
             let lineage = plan.part_lineage(pass.root, &content, &beside);
@@ -306,7 +311,10 @@ fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Mess
 /// Hands a source's rows to the first stages.
 struct Channel<'a> {
     shared: &'a Shared<'a>,
+    /// The source's own step alone, which hands rows on.
     children: &'a [Sender<Message>],
+    /// Whether the part of its table is to be made, and does not have the rows that are sent on.
+    stores: bool,
 }
 
 impl Feed for Channel<'_> {
@@ -324,6 +332,14 @@ impl Feed for Channel<'_> {
 
     fn read_bytes(&self, bytes: u64) {
         self.shared.progress.advance(bytes);
+    }
+
+    fn stores(&self) -> bool {
+        self.stores
+    }
+
+    fn store(&self, batch: RecordBatch) -> Result<(), StageError> {
+        send(self.children, || Message::Stored(batch.clone())).map_err(|_| StageError::Stopped)
     }
 }
 
@@ -381,6 +397,7 @@ fn work(
                 let output = running.push(&batch).map_err(failed)?;
                 emit(shared, step, &mut writer, output, children, credit.as_ref())?;
             }
+            Message::Stored(batch) => open(shared, step, &mut writer)?.write(0, &batch)?,
             Message::PartEnd(part, lineage, rejections) if streams => {
                 let mut output = running.flush().map_err(failed)?;
                 output.rejections.extend(rejections);
@@ -414,10 +431,9 @@ fn emit<'a>(
     credit: Option<&Credit>,
 ) -> Result<(), Failure> {
     let plan = shared.plan;
-    let writer = open(shared, step, writer)?;
-    let keep = plan.spec.steps[step].keep;
     let tables = plan.stored_tables(step).len();
-    if keep {
+    if plan.stands_in(step) {
+        let writer = open(shared, step, writer)?;
         for (table, batches) in output.tables.iter().enumerate() {
             batches.iter().try_for_each(|batch| writer.write(table, batch))?;
         }
@@ -426,7 +442,7 @@ fn emit<'a>(
         let heading = &plan.spec.steps[step].heading;
         let rows: Vec<Reject> = output.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
         shared.progress.set_aside(rows.len() as u64);
-        writer.write(tables - 1, &Reject::to_batch(&rows))?;
+        open(shared, step, writer)?.write(tables - 1, &Reject::to_batch(&rows))?;
     }
     let Some(main) = output.tables.into_iter().next() else {
         return Ok(());
@@ -475,13 +491,16 @@ fn commit<'a>(
     writer: &mut Option<PartWriter<'a>>,
     lineage: Digest,
 ) -> Result<(), Failure> {
+    // A part that was on the shelf before stays as it is, and its rejects are counted already: rows that are not stored
+    // are computed again for the steps that need them.
+    if shared.plan.tables[step].present.iter().flatten().any(|part| part.lineage == lineage) {
+        *writer = None;
+        return Ok(());
+    }
     open(shared, step, writer)?;
     let writer = writer.take().expect("opened above");
     let part = writer.commit(lineage)?;
-    // Rejects of parts that were on the shelf before are counted already: rows that are not kept are computed again for
-    // the steps that need them.
-    let is_known = shared.plan.tables[step].present.iter().flatten().any(|part| part.lineage == lineage);
-    let rejects = part.files.get(Reject::TABLE).filter(|_| !is_known).map_or(0, |file| file.rows);
+    let rejects = part.files.get(Reject::TABLE).map_or(0, |file| file.rows);
     let mut allowed = shared.allowed.lock().unwrap_or_else(PoisonError::into_inner);
     *allowed = allowed.checked_sub(rejects).ok_or(Failure::Early(Ended::TooManyRejects))?;
     Ok(())

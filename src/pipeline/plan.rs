@@ -252,10 +252,22 @@ impl<'a> Plan<'a> {
         }
     }
 
+    /// Whether the stored table of step `i` has all that it sends on, so that it is read in its place.
+    #[must_use]
+    pub fn stands_in(&self, i: usize) -> bool {
+        self.spec.steps[i].keep && self.spec.steps[i].node.stands_in()
+    }
+
     /// Whether the rows of step `i` can be read from the shelf.
     #[must_use]
     pub fn replayable(&self, i: usize) -> bool {
-        self.spec.steps[i].keep && self.tables[i].complete()
+        self.stands_in(i) && self.tables[i].complete()
+    }
+
+    /// Whether a part of the tables of step `i` is not on the shelf.
+    #[must_use]
+    pub fn lacks(&self, i: usize, part: usize) -> bool {
+        self.tables[i].present.get(part).is_none_or(Option::is_none)
     }
 
     fn mark_wanted(&mut self) {
@@ -316,6 +328,9 @@ impl<'a> Plan<'a> {
         };
         let why = match action {
             Action::Skip => "not needed".to_owned(),
+            Action::Reuse if !self.stands_in(i) && self.is_read_again(i) => {
+                "nothing that it depends on has changed; its samples are read from the raw files again".to_owned()
+            }
             Action::Reuse => "nothing that it depends on has changed".to_owned(),
             Action::Pass if table.complete() => "not kept; its rows are not needed".to_owned(),
             Action::Pass => "not kept; its rows are made again where they are needed".to_owned(),
@@ -329,6 +344,13 @@ impl<'a> Plan<'a> {
             parts: table.lineages.len(),
             finished,
         })
+    }
+
+    /// Whether a table that streams from step `i` is to be made.
+    fn is_read_again(&self, i: usize) -> bool {
+        let streams = |step: &usize| self.tables[*step].wanted && self.from(*step) == Some(i);
+        let mut below = (i + 1..self.tables.len()).filter(streams);
+        below.any(|step| !self.tables[step].complete() || (!self.stands_in(step) && self.is_read_again(step)))
     }
 
     fn reason(&self, i: usize, finished: usize) -> Result<String, StoreError> {

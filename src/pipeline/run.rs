@@ -76,7 +76,12 @@ fn passes(
         progress.pass(&headings, amount, whole, wanted);
         let tables = headings.iter().map(|heading| (*heading).to_owned()).collect();
         let started = Instant::now();
-        for heading in headings {
+        for (heading, &step) in headings.into_iter().zip(&pass.steps) {
+            // An index whose parts stand is not made anew where its source is read again.
+            let makes = !plan.spec.steps[step].keep || step != pass.root;
+            if !makes && !pass.parts.iter().any(|&part| plan.lacks(step, part)) {
+                continue;
+            }
             // A table whose parts lack different steps takes several passes.
             if !outcome.computed.iter().any(|computed| computed == heading) {
                 outcome.computed.push(heading.to_owned());

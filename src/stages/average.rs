@@ -249,6 +249,7 @@ impl Fold for Average {
         columns: &TraceColumns,
         rows: Range<usize>,
     ) -> Result<(), StageError> {
+        columns.require_codes(rows.clone()).map_err(StageError::Refused)?;
         for i in rows {
             match state {
                 State::Counts(histogram) => histogram.take(columns, i),

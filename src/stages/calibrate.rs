@@ -162,6 +162,7 @@ impl Fold for Calibrate {
         columns: &TraceColumns,
         rows: Range<usize>,
     ) -> Result<(), StageError> {
+        columns.require_codes(rows.clone()).map_err(StageError::Refused)?;
         for i in rows.filter(|&i| columns.role.value(i) == Role::Response.name()) {
             state.take(columns, i);
         }

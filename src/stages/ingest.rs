@@ -1,8 +1,9 @@
 //! `ingest`: raw oscilloscope files to `traces`, one row a channel and exposure. The one stage that reads raw files.
 //!
-//! Takes the campaign folder; writes `traces`. Codes stay as the converter gave them; scale, time base and the
-//! sub-sample trigger time stand next to them. Files are hashed whenever they are read, and refused where another
-//! content is on record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
+//! Takes the campaign folder; writes `traces`. Codes pass on as the converter gave them; scale, time base and the
+//! sub-sample trigger time stand next to them. What is stored is an index, which has where they lie in place of them,
+//! unless `codes` asks for an archive. Files are hashed whenever they are read, and refused where another content is on
+//! record. A file that cannot be decoded is a row in `rejects`, and the rest goes on.
 //!
 //! ```toml
 //! [traces]
@@ -19,6 +20,7 @@ mod piece;
 pub mod pulses;
 mod raw_file;
 mod record;
+mod runs;
 mod survey;
 mod template;
 mod ticket;
@@ -36,7 +38,7 @@ use super::stage::StageError;
 use crate::campaign::{Campaign, LeftOut, Role};
 use crate::parameter::Count;
 use crate::store::finite::{self, NotJson};
-use crate::store::{Digest, uncompressed};
+use crate::store::{Digest, uncompressed, vacant};
 use crate::tables::{Row, Trace};
 use survey::{Surveyed, chain};
 
@@ -50,31 +52,35 @@ pub struct Ingest {
     /// Most captures of each sensor, the first ones; absent: all.
     #[serde(default)]
     captures_max: Option<Count>,
-    /// How the table's codes lie on disk.
+    /// What the stored table has of the codes.
     #[serde(default)]
-    compression: Compression,
+    codes: Storage,
 }
 
-/// How codes lie on disk.
+/// What a stored table has of the codes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Compression {
-    /// Small: half of the raw bytes where 4 or 5 bits of a code are noise, seven tenths where 8 are.
+enum Storage {
+    /// Where they lie in the raw files.
     #[default]
+    Indexed,
+    /// Themselves, small: half of the raw bytes where 4 or 5 bits of a code are noise, seven tenths where 8 are.
     Zstd,
-    /// As large as the raw files, and several times faster to write and to read.
+    /// Themselves, as large as the raw files, and several times faster to write and to read.
     None,
 }
 
-impl Compression {
+impl Storage {
     /// The schema of `traces`, its codes to be stored so.
     fn schema(self) -> SchemaRef {
         let schema = Trace::schema();
-        if self == Self::Zstd {
-            return schema;
-        }
+        let mark = match self {
+            Self::Indexed => vacant,
+            Self::Zstd => return schema,
+            Self::None => uncompressed,
+        };
         let field = |field: &Arc<Field>| match field.name().as_str() {
-            "codes" => Arc::new(uncompressed(field)),
+            "codes" => Arc::new(mark(field)),
             _ => Arc::clone(field),
         };
         let fields: Vec<_> = schema.fields().iter().map(field).collect();
@@ -91,7 +97,7 @@ impl Source for Ingest {
         "ingest"
     }
     fn version(&self) -> u32 {
-        4
+        5
     }
     fn params(&self) -> Result<Value, NotJson> {
         let mut roles = self.roles.clone();
@@ -105,7 +111,10 @@ impl Source for Ingest {
         Ok(Value::Null)
     }
     fn table(&self) -> WrittenTable {
-        WrittenTable { name: Trace::TABLE.to_owned(), schema: self.compression.schema() }
+        WrittenTable { name: Trace::TABLE.to_owned(), schema: self.codes.schema() }
+    }
+    fn stands_in(&self) -> bool {
+        self.codes != Storage::Indexed
     }
     fn is_sample_of(&self, other: &dyn Source) -> bool {
         let Ok(params) = other.params() else { return false };
@@ -174,7 +183,7 @@ impl Divisible for Surveyed<'_> {
     ) -> Result<(), StageError> {
         piece::read_head(self, &self.parts[part][capture], None, batch_bytes, feed)
     }
-    fn join(&self, part: usize, learnt: &[Value]) -> Result<Digest, StageError> {
-        piece::join(self, part, learnt)
+    fn join(&self, part: usize, learnt: &[Value], feed: &dyn Feed) -> Result<Digest, StageError> {
+        piece::join(self, part, learnt, feed)
     }
 }

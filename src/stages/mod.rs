@@ -58,6 +58,15 @@ impl Node {
         }
     }
 
+    /// Whether a stored table has all rows of the stage with all that these have, so that it stands in for it.
+    #[must_use]
+    pub fn stands_in(&self) -> bool {
+        match self {
+            Self::Source(source) => source.stands_in(),
+            Self::Operator(_) => true,
+        }
+    }
+
     /// Version.
     #[must_use]
     pub fn version(&self) -> u32 {

@@ -42,6 +42,17 @@ pub trait Feed {
     fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError>;
     /// Says how many raw bytes were read, for progress.
     fn read_bytes(&self, bytes: u64);
+    /// Whether rows for the shelf are wanted too, of a source whose table does not stand in for it.
+    fn stores(&self) -> bool {
+        false
+    }
+    /// Hands rows over for the shelf, if these are wanted.
+    ///
+    /// # Errors
+    /// When the run is being stopped.
+    fn store(&self, _batch: RecordBatch) -> Result<(), StageError> {
+        Ok(())
+    }
 }
 
 /// A part as a source knows it before reading.
@@ -113,6 +124,11 @@ pub trait Source: Send + Sync {
     fn is_sample_of(&self, _other: &dyn Source) -> bool {
         false
     }
+    /// Whether its stored table has all that it sends on, so that it stands in for the source. One that does not is an
+    /// index: its rows come by [`Feed::store`], and stages below take theirs from the source.
+    fn stands_in(&self) -> bool {
+        true
+    }
     /// Surveys the campaigns: its parts, in order. What it learns of raw files it may note down in the folder `notes`.
     ///
     /// # Errors
@@ -182,11 +198,11 @@ pub trait Divisible {
         batch_bytes: usize,
         feed: &dyn PieceFeed,
     ) -> Result<(), StageError>;
-    /// The content of a part, from what reading its pieces gave, in order.
+    /// The content of a part, from what reading its pieces gave, in order; stores its rows, if these are wanted.
     ///
     /// # Errors
     /// When a file has changed since, or another content is on record.
-    fn join(&self, part: usize, learnt: &[Value]) -> Result<Digest, StageError>;
+    fn join(&self, part: usize, learnt: &[Value], feed: &dyn Feed) -> Result<Digest, StageError>;
 }
 
 /// A source that has surveyed its parts.

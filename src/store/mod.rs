@@ -27,7 +27,7 @@ pub mod whole;
 
 pub use failure::StoreError;
 pub use lineage::Digest;
-pub use parquet::{FileRecord, TableWriter, uncompressed};
+pub use parquet::{FileRecord, TableWriter, uncompressed, vacant};
 pub use shards::{Gathered, PieceRecord};
 pub use shelf::{PartRecord, Shelf, StageId, TableRecord};
 pub use sweep::Left;

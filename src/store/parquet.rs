@@ -231,8 +231,22 @@ pub fn uncompressed(field: &Field) -> Field {
     field.clone().with_metadata(metadata)
 }
 
+/// Metadata entry of a field whose column has nothing but nulls.
+const VACANT: (&str, &str) = ("holds", "nulls");
+
+/// The same column, which is to have nothing but nulls.
+#[must_use]
+pub fn vacant(field: &Field) -> Field {
+    let mut metadata = field.metadata().clone();
+    metadata.insert(VACANT.0.to_owned(), VACANT.1.to_owned());
+    field.clone().with_metadata(metadata)
+}
+
 /// Whether a column holds samples: codes, or a waveform.
 fn holds_samples(field: &Field) -> bool {
+    if field.metadata().get(VACANT.0).is_some_and(|mark| mark == VACANT.1) {
+        return false;
+    }
     match field.data_type() {
         DataType::BinaryView => true,
         DataType::List(item) => item.data_type() == &DataType::Float32,

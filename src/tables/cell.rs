@@ -150,17 +150,7 @@ impl Cell for Codes {
         DataType::BinaryView
     }
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
-        let mut builder = BinaryViewBuilder::new();
-        let mut last: Option<(&Buffer, u32)> = None;
-        for Codes { block, offset, length } in cells {
-            let id = match last {
-                Some((shared, id)) if shared.as_ptr() == block.as_ptr() && shared.len() == block.len() => id,
-                _ => builder.append_block(block.clone()),
-            };
-            builder.try_append_view(id, *offset, *length).expect("codes lie within their block");
-            last = Some((block, id));
-        }
-        Arc::new(builder.finish())
+        codes(cells.map(Some))
     }
     fn get(array: &Self::Array, i: usize) -> Self {
         // A view packs length, first bytes (or all, up to 12), block and offset into 128 bits.
@@ -171,6 +161,39 @@ impl Cell for Codes {
         }
         Self { block: array.data_buffers()[(view >> 64) as u32 as usize].clone(), offset: (view >> 96) as u32, length }
     }
+}
+
+impl Cell for Option<Codes> {
+    type Array = BinaryViewArray;
+    const NULLABLE: bool = true;
+    fn data_type() -> DataType {
+        Codes::data_type()
+    }
+    fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
+        codes(cells.map(Option::as_ref))
+    }
+    fn get(array: &Self::Array, i: usize) -> Self {
+        array.is_valid(i).then(|| <Codes as Cell>::get(array, i))
+    }
+}
+
+/// The column of these codes; `None` is a null cell. Neighbours of one block share it.
+fn codes<'a>(cells: impl Iterator<Item = Option<&'a Codes>>) -> ArrayRef {
+    let mut builder = BinaryViewBuilder::new();
+    let mut last: Option<(&Buffer, u32)> = None;
+    for cell in cells {
+        let Some(Codes { block, offset, length }) = cell else {
+            builder.append_null();
+            continue;
+        };
+        let id = match last {
+            Some((shared, id)) if shared.as_ptr() == block.as_ptr() && shared.len() == block.len() => id,
+            _ => builder.append_block(block.clone()),
+        };
+        builder.try_append_view(id, *offset, *length).expect("codes lie within their block");
+        last = Some((block, id));
+    }
+    Arc::new(builder.finish())
 }
 
 /// Samples of a waveform (`list<f32>` in the table); shares its buffer.

@@ -1,6 +1,8 @@
-//! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base.
+//! Table `traces`: what the oscilloscope recorded, as raw codes with their scale and time base, or an index of these.
 
-use arrow_array::{ArrayRef, RecordBatch};
+use std::ops::Range;
+
+use arrow_array::{Array, ArrayRef, RecordBatch, new_null_array};
 
 use super::cell::{Cell, Codes, Name};
 use super::row::Row;
@@ -48,8 +50,18 @@ table! {
         gain_v: f64,
         /// Volts at code 0.
         offset_v: f64,
-        /// The codes, little-endian.
-        codes: Codes,
+        /// The codes, little-endian; null in an index: there they lie in codes_file.
+        codes: Option<Codes>,
+        /// In an index, the raw file with the codes: `file`, or the one next to it with its samples; else null.
+        codes_file: Option<Name>,
+        /// BLAKE3 of that file.
+        codes_file_digest: Option<Name>,
+        /// Where the first code begins in that file; null where codes do not lie there as plain numbers (text, packed).
+        codes_offset_bytes: Option<i64>,
+        /// From one code to the next.
+        codes_stride_bytes: Option<i64>,
+        /// Whether the codes lie there big-endian.
+        codes_big_endian: Option<bool>,
         /// Wall-clock time of the acquisition, from the file (ISO 8601, time zone of the instrument).
         acquired_at: Option<Name>,
         /// Samples at or beyond the converter's rails; null where the rails are unknown.
@@ -88,7 +100,37 @@ impl Trace {
     }
 }
 
+impl TraceColumns {
+    /// Whether rows have their codes, which those of an index do not.
+    ///
+    /// # Errors
+    /// In words, of the first row that has none.
+    pub fn require_codes(&self, rows: Range<usize>) -> Result<(), String> {
+        if self.codes.null_count() == 0 {
+            return Ok(());
+        }
+        let Some(i) = rows.into_iter().find(|&i| self.codes.is_null(i)) else { return Ok(()) };
+        let (campaign, file) = (self.campaign.value(i), self.file.value(i));
+        Err(format!(
+            "campaign {campaign}: the samples lie in {file}, and this table of traces only says where; run from the \
+             raw files, or take a table that stage `ingest` made with `codes = \"zstd\"`, which archives them"
+        ))
+    }
+}
+
+/// Where the codes of a record lie in a file, as plain numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Where the first code that counts begins.
+    pub offset_bytes: i64,
+    /// From one code to the next.
+    pub stride_bytes: i64,
+    /// Whether the codes are big-endian.
+    pub big_endian: bool,
+}
+
 /// The columns in which records of one file differ.
+#[derive(Clone)]
 pub struct OwnColumns {
     /// Number of the shared row that has the other columns.
     pub shared: usize,
@@ -99,22 +141,33 @@ pub struct OwnColumns {
     /// As in [`Trace`].
     pub t0_ps: f64,
     /// As in [`Trace`].
-    pub codes: Codes,
+    pub codes: Option<Codes>,
     /// As in [`Trace`].
     pub clipped: Option<i32>,
+    /// Where an index has the codes.
+    pub place: Option<Place>,
+}
+
+/// Columns that records of one file share.
+#[derive(Clone, PartialEq)]
+struct Shared {
+    row: Trace,
+    /// Raw file with the codes.
+    codes_file: Name,
 }
 
 /// Rows of many records, such as the segments of a file. The columns that they have in common are stored once.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Records {
-    shared: Vec<Trace>,
+    shared: Vec<Shared>,
     own: Vec<OwnColumns>,
 }
 
 impl Records {
-    /// Adds a shared row, and returns its number. Its [`OwnColumns`] are ignored.
-    pub fn share(&mut self, row: Trace) -> usize {
-        self.shared.push(row);
+    /// Adds a shared row, and returns its number. Its [`OwnColumns`] are ignored. `codes_file` is the raw file with the
+    /// codes.
+    pub fn share(&mut self, row: Trace, codes_file: Name) -> usize {
+        self.shared.push(Shared { row, codes_file });
         self.shared.len() - 1
     }
 
@@ -123,11 +176,26 @@ impl Records {
         self.own.push(record);
     }
 
-    /// Adds all records of `other`.
+    /// Adds all records of `other`. Records of one file that come in turn share one row, as if they came at once.
     pub fn append(&mut self, other: Self) {
-        let before = self.shared.len();
-        self.shared.extend(other.shared);
+        let mut before = self.shared.len().saturating_sub(other.shared.len());
+        if self.shared[before..] != other.shared {
+            before = self.shared.len();
+            self.shared.extend(other.shared);
+        }
         self.own.extend(other.own.into_iter().map(|own| OwnColumns { shared: before + own.shared, ..own }));
+    }
+
+    /// The same without codes: their memory is let go.
+    #[must_use]
+    pub fn without_codes(mut self) -> Self {
+        self.own.iter_mut().for_each(|own| own.codes = None);
+        self
+    }
+
+    /// The same in runs of at most `rows` records.
+    pub fn runs(&self, rows: usize) -> impl Iterator<Item = Self> {
+        self.own.chunks(rows).map(|own| Self { shared: self.shared.clone(), own: own.to_vec() })
     }
 
     /// Numbers the shots from `first` on.
@@ -141,23 +209,55 @@ impl Records {
         self.own.is_empty()
     }
 
+    /// Samples at the rails, record by record.
+    pub fn clipped(&self) -> impl Iterator<Item = Option<i32>> {
+        self.own.iter().map(|own| own.clipped)
+    }
+
     /// The rows.
     #[must_use]
     pub fn to_batch(&self) -> RecordBatch {
-        fn column<'a, C: Cell + 'a>(own: &'a [OwnColumns], cell: impl Fn(&'a OwnColumns) -> &'a C) -> ArrayRef {
-            C::build(own.iter().map(cell))
-        }
-        let (schema, own) = (Trace::schema(), self.own.as_slice());
-        let mut columns = Trace::to_batch_of(own.iter().map(|own| &self.shared[own.shared])).columns().to_vec();
-        for (name, array) in [
-            ("shot", column(own, |own| &own.shot)),
-            ("segment", column(own, |own| &own.segment)),
-            ("t0_ps", column(own, |own| &own.t0_ps)),
-            ("codes", column(own, |own| &own.codes)),
-            ("clipped", column(own, |own| &own.clipped)),
-        ] {
-            columns[schema.index_of(name).expect("a column of the table")] = array;
-        }
-        RecordBatch::try_new(schema, columns).expect("columns are built from their own schema")
+        let rows = Trace::to_batch_of(self.own.iter().map(|own| &self.shared[own.shared].row));
+        with(
+            &rows,
+            [
+                ("shot", self.column(|own| own.shot)),
+                ("segment", self.column(|own| own.segment)),
+                ("t0_ps", self.column(|own| own.t0_ps)),
+                ("codes", Cell::build(self.own.iter().map(|own| &own.codes))),
+                ("clipped", self.column(|own| own.clipped)),
+            ],
+        )
     }
+
+    /// The same rows in an index: without codes, with where these lie. `rows` are those of [`Records::to_batch`],
+    /// `digest` is that of a raw file.
+    #[must_use]
+    pub fn to_index(&self, rows: &RecordBatch, digest: impl Fn(&str) -> Option<Name>) -> RecordBatch {
+        let digests: Vec<Option<Name>> = self.shared.iter().map(|shared| digest(&shared.codes_file)).collect();
+        with(
+            rows,
+            [
+                ("codes", new_null_array(&Codes::data_type(), self.own.len())),
+                ("codes_file", self.column(|own| Some(self.shared[own.shared].codes_file.clone()))),
+                ("codes_file_digest", Cell::build(self.own.iter().map(|own| &digests[own.shared]))),
+                ("codes_offset_bytes", self.column(|own| own.place.map(|place| place.offset_bytes))),
+                ("codes_stride_bytes", self.column(|own| own.place.map(|place| place.stride_bytes))),
+                ("codes_big_endian", self.column(|own| own.place.map(|place| place.big_endian))),
+            ],
+        )
+    }
+
+    fn column<C: Cell>(&self, cell: impl Fn(&OwnColumns) -> C) -> ArrayRef {
+        C::build(self.own.iter().map(cell).collect::<Vec<_>>().iter())
+    }
+}
+
+/// Rows with some columns replaced.
+fn with<const N: usize>(rows: &RecordBatch, columns: [(&str, ArrayRef); N]) -> RecordBatch {
+    let (schema, mut all) = (Trace::schema(), rows.columns().to_vec());
+    for (name, array) in columns {
+        all[schema.index_of(name).expect("a column of the table")] = array;
+    }
+    RecordBatch::try_new(schema, all).expect("columns are built from their own schema")
 }

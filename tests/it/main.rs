@@ -24,6 +24,7 @@ mod hidden;
 mod hidden_plane;
 mod house;
 mod image;
+mod index;
 mod ingest;
 mod installed;
 mod inter_reflections;

@@ -3,9 +3,10 @@
 use std::process::Command;
 use std::sync::LazyLock;
 
+use periscope::pipeline::run::Settings;
 use periscope::tables::Trace;
 
-use crate::lab::Lab;
+use crate::lab::{ALL_VISIBLE, Lab};
 
 fn ask(lab: &Lab, sql: &str, format: &str) -> (Option<i32>, String, String) {
     let output = Command::new(env!("CARGO_BIN_EXE_periscope"))
@@ -19,7 +20,8 @@ fn ask(lab: &Lab, sql: &str, format: &str) -> (Option<i32>, String, String) {
 
 static LAB: LazyLock<Lab> = LazyLock::new(|| {
     let lab = Lab::tiny();
-    lab.rows_of_patches("out");
+    let archived = ["traces.codes='zstd'".to_owned()];
+    lab.run_with("out", ALL_VISIBLE, &archived, &Settings::default()).unwrap();
     lab
 });
 
@@ -44,7 +46,7 @@ fn sql_sees_every_table_under_its_own_name() {
 #[test]
 fn lists_and_bytes_have_a_form_in_every_format() {
     let traces: Vec<Trace> = LAB.rows("out", "traces");
-    let hex = traces[0].codes.iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
+    let hex = traces[0].codes.as_ref().unwrap().iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
     let sql = "SELECT codes FROM traces LIMIT 1";
     assert_eq!(ask(&LAB, sql, "csv").1, format!("codes\n{hex}\n"));
     assert_eq!(ask(&LAB, sql, "json").1, format!("{{\"codes\":\"{hex}\"}}\n"));

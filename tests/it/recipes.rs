@@ -19,7 +19,7 @@ use periscope::tables::{Distance, Label, Onset, Patch, Profile, Reject, Residual
 use serde_json::Value;
 
 use crate::lab::{ALL_VISIBLE, TINY};
-use crate::python::printed;
+use crate::python::{printed, python};
 
 /// Two days of one scene; a third on which patch 4 has moved by 2 cm and two files are truncated; and a campaign
 /// without any alignment.
@@ -41,10 +41,12 @@ static LAB: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
         .map(|line| line.replace("jitter_ps = 80.0", "jitter_ps = 0.0") + "\n")
         .collect();
     let unaligned = campaign(folder, "unaligned", 4, &unaligned, Format::Npy);
-    analyse(&folder.join("results"), std::slice::from_ref(&monday));
-    analyse(&folder.join("moved"), std::slice::from_ref(&wednesday));
-    analyse(&folder.join("days"), &[monday, tuesday]);
-    analyse(&folder.join("by-hand"), &[unaligned]);
+    analyse(&folder.join("results"), std::slice::from_ref(&monday), "indexed");
+    analyse(&folder.join("archive"), std::slice::from_ref(&monday), "zstd");
+    analyse(&folder.join("moved"), std::slice::from_ref(&wednesday), "indexed");
+    analyse(&folder.join("days"), &[monday, tuesday], "indexed");
+    analyse(&folder.join("by-hand"), std::slice::from_ref(&unaligned), "none");
+    analyse(&folder.join("by-index"), &[unaligned], "indexed");
     lab
 });
 
@@ -56,8 +58,8 @@ fn campaign(folder: &Path, name: &str, seed: u64, scene: &str, format: Format) -
     root
 }
 
-fn analyse(out: &Path, roots: &[PathBuf]) {
-    let spec = Spec::parse("test", ALL_VISIBLE, &[]).unwrap();
+fn analyse(out: &Path, roots: &[PathBuf], codes: &str) {
+    let spec = Spec::parse("test", ALL_VISIBLE, &[format!("traces.codes='{codes}'")]).unwrap();
     let campaigns: Vec<Campaign> = roots.iter().map(|root| Campaign::load(root).unwrap()).collect();
     let shelf = Shelf::open(out).unwrap();
     let mut plan = Plan::new(&spec, &campaigns, &shelf, None).unwrap();
@@ -69,29 +71,41 @@ fn rows<R: Row>(out: &str, view: &str) -> Vec<R> {
     batches.iter().flat_map(|batch| R::rows(batch).unwrap()).collect()
 }
 
+/// How Python is asked for the answer of a recipe.
+fn question(recipe: &str, extension: &str, values: &[&str]) -> Vec<String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let files = [root.join("tests/it/recipes.py"), root.join(format!("queries/{recipe}.{extension}"))];
+    let files = files.map(|file| file.display().to_string());
+    files.into_iter().chain(values.iter().map(ToString::to_string)).collect()
+}
+
+fn answer(recipe: &str, extension: &str, values: &[&str]) -> Option<Vec<Value>> {
+    let question = question(recipe, extension, values);
+    let text = printed(LAB.path(), &question.iter().map(String::as_str).collect::<Vec<_>>())?;
+    Some(serde_json::from_str(&text).unwrap())
+}
+
 /// The answer of a recipe, by DuckDB and by Polars, which must agree; `None` where there is no Python.
 fn ask(recipe: &str, values: &[&str]) -> Option<Vec<Value>> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let driver = root.join("tests/it/recipes.py").display().to_string();
-    let answer = |extension: &str| -> Option<Vec<Value>> {
-        let recipe = root.join(format!("queries/{recipe}.{extension}")).display().to_string();
-        let text = printed(LAB.path(), &[&[driver.as_str(), recipe.as_str()], values].concat())?;
-        Some(serde_json::from_str(&text).unwrap())
-    };
-    let (duckdb, polars) = (answer("sql")?, answer("py")?);
-    assert_eq!(duckdb.len(), polars.len(), "{recipe}");
-    for (duckdb, polars) in duckdb.iter().zip(&polars) {
-        let (one, other) = (duckdb.as_object().unwrap(), polars.as_object().unwrap());
-        assert_eq!(one.keys().collect::<BTreeSet<_>>(), other.keys().collect::<BTreeSet<_>>());
-        for (column, value) in one {
-            let alike = match (value.as_f64(), other[column].as_f64()) {
+    let (duckdb, polars) = (answer(recipe, "sql", values)?, answer(recipe, "py", values)?);
+    are_alike(recipe, &duckdb, &polars);
+    Some(duckdb)
+}
+
+/// Holds two answers against each other: sums of numbers depend on the order.
+fn are_alike(recipe: &str, one: &[Value], other: &[Value]) {
+    assert_eq!(one.len(), other.len(), "{recipe}");
+    for (one, other) in one.iter().zip(other) {
+        let (columns, others) = (one.as_object().unwrap(), other.as_object().unwrap());
+        assert_eq!(columns.keys().collect::<BTreeSet<_>>(), others.keys().collect::<BTreeSet<_>>());
+        for (column, value) in columns {
+            let alike = match (value.as_f64(), others[column].as_f64()) {
                 (Some(a), Some(b)) => is_close(a, b),
-                _ => *value == other[column],
+                _ => *value == others[column],
             };
-            assert!(alike, "{recipe}, {column}: {duckdb} {polars}");
+            assert!(alike, "{recipe}, {column}: {one} {other}");
         }
     }
-    Some(duckdb)
 }
 
 fn is_close(a: f64, b: f64) -> bool {
@@ -113,13 +127,15 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 #[test]
 fn codes_become_the_volts_that_were_recorded() {
-    let Some(answer) = ask("volts", &["results=results", "lit=3", "seen=1"]) else { return };
-    let mut traces: Vec<Trace> = rows("results", "traces");
+    let Some(answer) = ask("volts", &["results=archive", "lit=3", "seen=1"]) else { return };
+    let mut traces: Vec<Trace> = rows("archive", "traces");
     traces.retain(|row| (row.lit, row.seen) == (3, 1));
     traces.sort_by_key(|row| (row.shot, row.is_reference));
     let mut expected = Vec::new();
     for row in &traces {
-        for (i, code) in Codes::of(&row.code_type, &row.codes).unwrap().to_f64().into_iter().enumerate() {
+        for (i, code) in
+            Codes::of(&row.code_type, row.codes.as_ref().unwrap()).unwrap().to_f64().into_iter().enumerate()
+        {
             expected.push((row.shot, i as i32, row.t0_ps + i as f64 * row.dt_ps, row.gain_v * code + row.offset_v));
         }
     }
@@ -127,6 +143,30 @@ fn codes_become_the_volts_that_were_recorded() {
     for (row, (shot, sample, time_ps, volts)) in answer.iter().zip(expected) {
         assert_eq!((integer(row, "shot"), integer(row, "sample")), (shot, sample));
         assert!(is_close(number(row, "time_ps"), time_ps) && is_close(number(row, "volts"), volts), "{row} {volts}");
+    }
+}
+
+#[test]
+fn recipes_read_raw_files_where_traces_are_an_index_or_say_what_they_need() {
+    let values = |results: &'static str| [results, "lit=3", "seen=1"];
+    for (recipe, index, archive, campaign) in [
+        ("volts", "results=results", "results=archive", "campaign=monday"),
+        ("average", "results=by-index", "results=by-hand", "campaign=unaligned"),
+    ] {
+        let from_raw = answer(recipe, "py", &[&values(index)[..], &[campaign]].concat());
+        let Some(from_raw) = from_raw else { return };
+        assert!(!from_raw.is_empty());
+        are_alike(recipe, &from_raw, &answer(recipe, "py", &values(archive)).unwrap());
+        for extension in ["py", "sql"] {
+            let question = question(recipe, extension, &values(index));
+            let output = python(LAB.path(), &question.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(
+                !output.status.success() && said.contains("the samples lie in raw/"),
+                "{recipe}.{extension}: {said}"
+            );
+            assert!(said.contains("codes = \"zstd\""), "{recipe}.{extension}: {said}");
+        }
     }
 }
 

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type, Int32Type};
+use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type};
 use arrow_array::{Array, RecordBatch};
 use arrow_schema::DataType;
 use periscope::pipeline::run::Settings;
@@ -25,6 +25,7 @@ fn sum(column: &dyn Array) -> Option<f64> {
     Some(match column.data_type() {
         DataType::Float64 => column.as_primitive::<Float64Type>().iter().flatten().map(f64::abs).sum(),
         DataType::Float32 => column.as_primitive::<Float32Type>().iter().flatten().map(|x| f64::from(x.abs())).sum(),
+        DataType::Int64 => column.as_primitive::<Int64Type>().iter().flatten().map(|x| (x as f64).abs()).sum(),
         DataType::Int32 => column.as_primitive::<Int32Type>().iter().flatten().map(|x| f64::from(x).abs()).sum(),
         DataType::List(_) => sum(column.as_list::<i32>().values().as_ref())?,
         DataType::BinaryView => {

@@ -43,10 +43,10 @@ pub struct Cut {
 /// # Errors
 /// Why there is none, in words that follow the heading of the source.
 pub fn adder(plan: &Plan<'_>, source: usize) -> Result<usize, String> {
-    if plan.spec.steps[source].keep && plan.tables[source].wanted {
+    if plan.stands_in(source) && plan.tables[source].wanted {
         let heading = &plan.spec.steps[source].heading;
         return Err(format!(
-            "all rows of a capture lie in one part, and the traces are kept (`--set {heading}.keep=false` does not)"
+            "all rows of a capture lie in one part, and {heading} archives them (`--set {heading}.keep=false` does not)"
         ));
     }
     let below: Vec<usize> =
@@ -299,8 +299,7 @@ fn joined(
         }
     }
     let output = adding.end().map_err(run)?;
-    let learnt: Vec<_> = pieces.iter().map(|(_, _, record)| record.learnt.clone()).collect();
-    // Last, since it compares the files with what the pieces read, including those whose heads were read here.
-    let content = parts.join(0, &learnt).map_err(run)?;
-    Ok(Joined { source, content, step, output })
+    // The pass compares the files with what the pieces read, including those whose heads were read here.
+    let learnt = pieces.iter().map(|(_, _, record)| record.learnt.clone()).collect();
+    Ok(Joined { source, learnt, step, output })
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::raw_file::{Bad, Hashed, HashedStretch, RawFile, Reading};
 use super::survey::{Job, Surveyed};
-use super::template::Template;
+use super::template::{Content, Template};
 use crate::tables::traces::Records;
 use crate::tables::{Codes, Trace};
 use crate::waveform::{Head, Kind, Record};
@@ -167,15 +167,35 @@ impl Files {
                 Some(file.codes(&records[exposures.clone()], samples)?)
             }
         };
+        let signal_codes = signal_codes.into_iter();
+        let mut contents: Vec<Content> = match reference_codes {
+            None => signal_codes.map(Content::Codes).collect(),
+            Some(codes) => {
+                codes.into_iter().zip(signal_codes).flat_map(<[Codes; 2]>::from).map(Content::Codes).collect()
+            }
+        };
+        self.rows_of(surveyed, job, exposures, &mut contents.drain(..))
+    }
+
+    /// The same without a look at the samples; `contents` has what there is of them, row by row.
+    pub fn rows_of(
+        &self,
+        surveyed: &Surveyed<'_>,
+        job: &Job<'_>,
+        exposures: Range<usize>,
+        contents: &mut dyn Iterator<Item = Content>,
+    ) -> Result<Records, Bad> {
+        let template = Template::new(surveyed, job);
+        let mut next = || contents.next().expect("as many as there are rows");
         let mut rows = Rows { template, records: Records::default(), shared: [None, None] };
-        for (i, exposure) in exposures.enumerate() {
+        for exposure in exposures {
             let (record, shot) = self.signal_records[exposure];
             let shot = shot + job.first_shot;
-            if let (Some(codes), Some(records)) = (&reference_codes, &self.reference_records) {
+            if let Some(records) = &self.reference_records {
                 let file = self.reference.as_ref().unwrap_or(&self.signal);
-                rows.push(file, records[exposure], shot, true, &codes[i])?;
+                rows.push(file, records[exposure], shot, true, next())?;
             }
-            rows.push(&self.signal, record, shot, false, &signal_codes[i])?;
+            rows.push(&self.signal, record, shot, false, next())?;
         }
         Ok(rows.records)
     }
@@ -190,15 +210,23 @@ struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    fn push(&mut self, file: &RawFile, record: usize, shot: i32, is_reference: bool, codes: &Codes) -> Result<(), Bad> {
+    fn push(
+        &mut self,
+        file: &RawFile,
+        record: usize,
+        shot: i32,
+        is_reference: bool,
+        content: Content,
+    ) -> Result<(), Bad> {
         let last = &mut self.shared[usize::from(is_reference)];
         let head = &file.records[record].head;
         if last.as_ref().is_none_or(|(last_head, ..)| !Arc::ptr_eq(last_head, head)) {
-            let row = self.template.shared(file, record, is_reference, codes.len())?;
-            *last = Some((Arc::clone(head), self.records.share(row.clone()), row));
+            let row = self.template.shared(file, record, is_reference)?;
+            let shared = self.records.share(row.clone(), file.file_of_codes(record));
+            *last = Some((Arc::clone(head), shared, row));
         }
         let (_, shared, row) = last.as_ref().expect("put there if it was not");
-        self.records.push(self.template.own(file, record, shot, (*shared, row), codes)?);
+        self.records.push(self.template.own(file, record, shot, (*shared, row), content)?);
         Ok(())
     }
 }

@@ -4,14 +4,16 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
+use arrow_array::RecordBatch;
 use rayon::prelude::*;
 
 use super::content::{self, FileDigests};
 use super::files::Files;
 use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
+use super::runs::Runs;
 use super::survey::{Capture, Item, Job, Surveyed, chain};
 use crate::campaign::{Campaign, Stamp, hash_file};
-use crate::stages::source::{Feed, PartRead};
+use crate::stages::source::{Credit, Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
 use crate::store::disk;
@@ -19,6 +21,8 @@ use crate::tables::traces::Records;
 
 /// Items that are sent on together: what is made of small ones takes many times their own bytes.
 const ITEMS_SENT: usize = 64;
+/// Rows of an index that are stored together.
+pub const INDEX_ROWS: usize = 1 << 13;
 
 /// What came of a job.
 #[derive(Default)]
@@ -70,6 +74,8 @@ pub struct Reader<'a> {
     /// Of files that were read in part.
     pub stretches: Vec<HashedStretch>,
     pub rejections: Vec<Rejection>,
+    /// Samples at the rails of each row that was sent, in order.
+    pub clipped: Runs,
     /// Exposures so far of each capture whose files do not number them.
     shots: BTreeMap<usize, i32>,
 }
@@ -83,6 +89,7 @@ impl<'a> Reader<'a> {
             digests: BTreeMap::new(),
             stretches: Vec::new(),
             rejections: Vec::new(),
+            clipped: Runs::default(),
             shots: BTreeMap::new(),
         }
     }
@@ -144,7 +151,10 @@ impl Reader<'_> {
                 rows.append(self.take(*index, job, done)?);
             }
             if !rows.is_empty() {
-                self.feed.send(rows.to_batch(), credit.clone())?;
+                let batch = self.send(&rows, credit.clone())?;
+                if self.feed.stores() {
+                    self.store(captures[0].campaign, &rows, &batch)?;
+                }
             }
         }
         self.feed.read_bytes(bytes as u64);
@@ -153,9 +163,9 @@ impl Reader<'_> {
 
     /// A file that is larger than a batch, or that is wanted in part only: read in pieces.
     fn large(&mut self, captures: &[Capture], share: &Share<'_>) -> Result<(), StageError> {
-        let Share { index, item, of_file } = share;
-        let (index, capture) = (*index, &captures[*index]);
-        let job = Job { capture, item, first_shot: self.shots.get(&index).copied().unwrap_or(0) };
+        let Share { index: number, item, of_file } = share;
+        let (number, capture) = (*number, &captures[*number]);
+        let job = Job { capture, item, first_shot: self.shots.get(&number).copied().unwrap_or(0) };
         let is_hashed = item.is_share() && was_read(self.surveyed, &job);
         let reading = match of_file {
             Some((_, hashed)) => Reading::Stretch(hashed),
@@ -167,7 +177,7 @@ impl Reader<'_> {
             Err(error) => {
                 let digests = digests_of_bad(self.surveyed, &job);
                 let rejection = Some(error.rejection(self.surveyed, &job));
-                self.take(index, &job, Done { digests, rejection, ..Done::default() })?;
+                self.take(number, &job, Done { digests, rejection, ..Done::default() })?;
                 return Ok(());
             }
         };
@@ -183,6 +193,8 @@ impl Reader<'_> {
         let exposures = of_file.as_ref().map_or(0..count, |(shots, _)| shots.start..shots.end.min(count));
         let per_batch = (self.batch_bytes / files.exposure_bytes(&job).max(1)).max(1);
         let mut outcome = Done { shots: exposures.len() as i32, ..Done::default() };
+        // Rows of an index wait for the digest of their file.
+        let mut index = Records::default();
         if exposures.start == 0 {
             outcome.remarks = remarks(self.surveyed, &job, &files)?;
         }
@@ -191,7 +203,12 @@ impl Reader<'_> {
             let bytes = files.exposure_bytes(&job) * range.len();
             let credit = self.feed.reserve(bytes)?;
             match files.rows(self.surveyed, &job, range) {
-                Ok(rows) => self.feed.send(rows.to_batch(), credit)?,
+                Ok(rows) => {
+                    self.send(&rows, credit)?;
+                    if self.feed.stores() {
+                        index.append(rows.without_codes());
+                    }
+                }
                 Err(error) => {
                     outcome.rejection = Some(error.rejection(self.surveyed, &job));
                     break;
@@ -210,8 +227,27 @@ impl Reader<'_> {
                 Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
             }
         }
-        self.take(index, &job, outcome)?;
-        Ok(())
+        self.take(number, &job, outcome)?;
+        index.runs(INDEX_ROWS).try_for_each(|rows| self.store(capture.campaign, &rows, &rows.to_batch()))
+    }
+
+    /// Sends rows on, and notes what only their codes say.
+    fn send(&mut self, rows: &Records, credit: Credit) -> Result<RecordBatch, StageError> {
+        rows.clipped().for_each(|clipped| self.clipped.push(clipped));
+        let batch = rows.to_batch();
+        self.feed.send(batch.clone(), credit)?;
+        Ok(batch)
+    }
+
+    /// Stores the rows of an index; their files have been read to their ends.
+    fn store(&self, campaign: usize, rows: &Records, batch: &RecordBatch) -> Result<(), StageError> {
+        let digest = |file: &str| {
+            let file = PathBuf::from(file);
+            let of_part = self.digests.get(&(campaign, file.clone())).copied();
+            // Another part may have read it.
+            of_part.or_else(|| self.surveyed.digest_of(campaign, &file).ok()?).map(|digest| digest.to_string().into())
+        };
+        self.feed.store(rows.to_index(batch, digest))
     }
 
     /// Notes the digests of files that were read to their ends.
@@ -240,8 +276,7 @@ impl Reader<'_> {
             }
         }
         self.note(campaign, done.digests)?;
-        let numbered = job.item.exposure.shot.is_some() || job.item.records.is_some();
-        if !numbered {
+        if !job.item.is_numbered() {
             let first = self.shots.entry(index).or_insert(0);
             done.rows.number_from(*first);
             *first += done.shots;

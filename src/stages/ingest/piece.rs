@@ -15,13 +15,15 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::files::Files;
-use super::part::{Reader, Share, content, items, unread};
+use super::part::{INDEX_ROWS, Reader, Share, content, items, unread};
 use super::raw_file::{Bad, HashedStretch, Reading};
+use super::runs::Runs;
 use super::survey::{Capture, Item, Job, Surveyed};
+use super::template::Content;
 use crate::campaign::Stamp;
 use crate::campaign::tree_hash::{self, Subtree};
 use crate::signal::shot_spread::HEAD_SHOTS;
-use crate::stages::source::{Piece, PieceFeed};
+use crate::stages::source::{Feed, Piece, PieceFeed};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
 use crate::store::disk;
@@ -54,6 +56,8 @@ struct Learnt {
     digests: BTreeMap<PathBuf, Digest>,
     /// Of files that it has read in part.
     subtrees: BTreeMap<PathBuf, Vec<Subtree>>,
+    /// Samples at the rails of each of its rows, in order: an index has them, and its other columns follow from heads.
+    clipped: Runs,
 }
 
 /// The items between two places with their exposures; `0..usize::MAX` stands for all.
@@ -99,7 +103,8 @@ pub fn read_piece(
         return Err(StageError::Indivisible(format!("{file}: {}", rejection.reason)));
     }
     let digests = reader.digests.into_iter().map(|((_, file), digest)| (file, digest));
-    let mut learnt = Learnt { digests: digests.collect(), subtrees: BTreeMap::new(), states };
+    let clipped = reader.clipped;
+    let mut learnt = Learnt { digests: digests.collect(), subtrees: BTreeMap::new(), states, clipped };
     for HashedStretch { file, subtrees, metadata } in reader.stretches {
         let now = disk::metadata(campaign.path_of(&file));
         if now.is_ok_and(|now| Stamp::of(&now) == Stamp::of(&metadata)) {
@@ -190,19 +195,21 @@ fn check(
     Ok(())
 }
 
-/// The content of a part, from what its pieces have learnt.
-pub fn join(surveyed: &Surveyed<'_>, part: usize, learnt: &[Value]) -> Result<Digest, StageError> {
+/// The content of a part, from what its pieces have learnt; stores its index, if that is wanted.
+pub fn join(surveyed: &Surveyed<'_>, part: usize, learnt: &[Value], feed: &dyn Feed) -> Result<Digest, StageError> {
     let captures = &surveyed.parts[part];
     let index = captures[0].campaign;
     let mut digests: BTreeMap<PathBuf, Digest> = BTreeMap::new();
     let mut states: BTreeMap<PathBuf, Stamp> = BTreeMap::new();
     let mut subtrees: BTreeMap<PathBuf, Vec<Subtree>> = BTreeMap::new();
+    let mut clipped: Vec<Runs> = Vec::new();
     for piece in learnt {
         let piece = Learnt::deserialize(piece)
             .map_err(|error| StageError::Refused(format!("a piece of the part cannot be read: {error}")))?;
         check(surveyed, captures, &piece.states, "a piece of it was read; plan anew")?;
         states.extend(piece.states);
         digests.extend(piece.digests);
+        clipped.push(piece.clipped);
         piece.subtrees.into_iter().for_each(|(file, some)| subtrees.entry(file).or_default().extend(some));
     }
     for (file, subtrees) in subtrees {
@@ -222,5 +229,37 @@ pub fn join(surveyed: &Surveyed<'_>, part: usize, learnt: &[Value]) -> Result<Di
             surveyed.record(index, file, (*digest).into(), &metadata);
         }
     }
+    if feed.stores() {
+        let mut clipped = clipped.iter().flat_map(Runs::cells);
+        store(surveyed, captures, &digests, &mut clipped, feed)?;
+        check(surveyed, captures, &states, "a piece of it was read; plan anew")?;
+    }
     content(surveyed, captures, digests.into_iter().map(|(file, digest)| ((index, file), digest)).collect())
+}
+
+/// Stores the index of a part from the heads of its files, and from what its pieces saw of the samples.
+fn store(
+    surveyed: &Surveyed<'_>,
+    captures: &[Capture],
+    digests: &BTreeMap<PathBuf, Digest>,
+    clipped: &mut dyn Iterator<Item = Option<i32>>,
+    feed: &dyn Feed,
+) -> Result<(), StageError> {
+    let digest = |file: &str| digests.get(Path::new(file)).map(|digest| digest.to_string().into());
+    let mut shots: BTreeMap<usize, i32> = BTreeMap::new();
+    for (number, _, item) in items(captures) {
+        let first_shot = if item.is_numbered() { 0 } else { shots.get(&number).copied().unwrap_or(0) };
+        let job = Job { capture: &captures[number], item, first_shot };
+        let refused = |error: Bad| StageError::Refused(format!("{}: {}", error.file.display(), error.reason));
+        let files = Files::open(surveyed, &job, Reading::Unhashed).map_err(refused)?;
+        for start in (0..files.exposures()).step_by(INDEX_ROWS) {
+            let exposures = start..files.exposures().min(start + INDEX_ROWS);
+            let rows = files
+                .rows_of(surveyed, &job, exposures, &mut (&mut *clipped).map(Content::Clipped))
+                .map_err(refused)?;
+            feed.store(rows.to_index(&rows.to_batch(), digest))?;
+        }
+        *shots.entry(number).or_insert(0) += files.exposures() as i32;
+    }
+    Ok(())
 }

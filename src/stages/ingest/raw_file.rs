@@ -17,8 +17,9 @@ use crate::formats::companions::companion;
 use crate::formats::{self, FormatError, Joined, Remark, Source};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::disk;
+use crate::tables::traces::Place;
 use crate::tables::{Codes, Name};
-use crate::waveform::Record;
+use crate::waveform::{Payload, Record};
 
 /// Bytes that are read at once where only a part of a record counts; smaller records are read whole, with their
 /// neighbours.
@@ -132,6 +133,8 @@ pub struct RawFile {
     /// The same, as the rows have it.
     pub text: Name,
     pub records: Vec<Record>,
+    /// The file next to it with its samples, if it has one.
+    companion: Option<Name>,
     /// What is to be said about the file, though its records can be used.
     remarks: Vec<Remark>,
     bytes: Bytes,
@@ -195,8 +198,9 @@ impl RawFile {
             (Bytes::Disk(source.into_inner()), contents)
         };
         let formats::Contents { records, remarks } = contents.map_err(format)?;
-        let text = name.to_string_lossy().as_ref().into();
-        Ok(Self { name: name.to_owned(), text, records, remarks, bytes, blocks, metadata, hashing, to_hash })
+        let text = |name: &Path| -> Name { name.to_string_lossy().as_ref().into() };
+        let (companion, text, name) = (companion.as_deref().map(text), text(name), name.to_owned());
+        Ok(Self { name, text, records, companion, remarks, bytes, blocks, metadata, hashing, to_hash })
     }
 
     /// Whether anything is to be said about the file next to its rows.
@@ -305,6 +309,27 @@ impl RawFile {
         let length = self.metadata.len();
         let share = u128::from(length) * record as u128 / self.records.len() as u128;
         (length, self.records[record].contiguous().map_or(share as u64, |(at, _)| at))
+    }
+
+    /// Companion and offset in it of a place behind the file's own bytes.
+    fn in_companion(&self, byte_offset: u64) -> Option<(&Name, u64)> {
+        Some((self.companion.as_ref()?, byte_offset.checked_sub(self.metadata.len())?))
+    }
+
+    /// File with the codes of a record.
+    pub fn file_of_codes(&self, record: usize) -> Name {
+        let in_companion = match self.records[record].payload {
+            Payload::File { byte_offset, .. } => self.in_companion(byte_offset),
+            _ => None,
+        };
+        in_companion.map_or(&self.text, |(companion, _)| companion).clone()
+    }
+
+    /// Where the codes of a record lie in that file from sample `first` on, if they do as plain numbers.
+    pub fn place_of_codes(&self, record: usize, first: u64) -> Option<Place> {
+        let Payload::File { byte_offset, stride, big_endian } = self.records[record].payload else { return None };
+        let offset = self.in_companion(byte_offset).map_or(byte_offset, |(_, offset)| offset) + first * stride;
+        Some(Place { offset_bytes: offset as i64, stride_bytes: stride as i64, big_endian })
     }
 
     /// Codes of records, little-endian; of the samples `[first, last)` of each, where only those count. Records that

@@ -77,6 +77,17 @@ impl Record {
         self.noted().manifest.of(files)
     }
 
+    /// The first of the noted files, where it is not there any more, and how many these are.
+    ///
+    /// # Errors
+    /// When the disk cannot be asked.
+    pub fn first_gone(&self, root: &Path) -> io::Result<Option<(PathBuf, usize)>> {
+        let noted = self.noted();
+        let Some((file, _)) = noted.manifest.iter().next() else { return Ok(None) };
+        let count = noted.manifest.iter().count();
+        Ok((!fs::is_there(&root.join(file))?).then(|| (file.to_owned(), count)))
+    }
+
     /// The content that is on record.
     pub fn content(&self, file: &Path) -> Option<blake3::Hash> {
         let sealed = self.seal.as_ref().and_then(|seal| seal.get(file)).map(|record| record.blake3);

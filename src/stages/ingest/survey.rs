@@ -34,6 +34,11 @@ impl Item {
     pub fn is_share(&self) -> bool {
         self.records.is_some() || self.exposure.segment.is_some()
     }
+
+    /// Whether its files, or the rules, say which shots its exposures are; else they are counted as they come.
+    pub fn is_numbered(&self) -> bool {
+        self.exposure.shot.is_some() || self.records.is_some()
+    }
 }
 
 /// One capture: a patch lit, a patch seen, by one sensor; for other roles than scene, one run of shots.
@@ -122,6 +127,9 @@ impl<'a> Surveyed<'a> {
             let sealed =
                 |exposure: &Exposure| record.seal.as_ref().is_none_or(|seal| seal.get(&exposure.file).is_some());
             let mut exposures = survey.exposures;
+            if exposures.is_empty() {
+                not_gone(campaign, &record)?;
+            }
             let segments = segments(&exposures);
             exposures.retain(|exposure| roles.contains(&exposure.role) && sealed(exposure));
             records.push(record);
@@ -245,6 +253,21 @@ impl<'a> Surveyed<'a> {
         let records = part.iter().map(|capture| capture.items.len() as u64).sum();
         Ok(SourcePart { content, bytes: part.iter().map(Capture::bytes).sum(), records })
     }
+}
+
+/// Refuses a campaign whose raw files were read before and have all gone: tables without a row would take the place of
+/// those that stand.
+fn not_gone(campaign: &Campaign, record: &Record) -> Result<(), StageError> {
+    let root = campaign.root.display();
+    let gone = record.first_gone(&campaign.root).map_err(|error| StageError::Refused(format!("{root}: {error}")))?;
+    let Some((file, count)) = gone else { return Ok(()) };
+    let file = campaign.path_of(&file);
+    Err(StageError::Refused(format!(
+        "the samples lie in {}, and it is gone with all {count} raw files that were read of the campaign; put them back, \
+         or `import` tables of this result folder. `codes = \"zstd\"` of stage `ingest` archives samples before raw \
+         files go",
+        file.display()
+    )))
 }
 
 /// Cuts captures into parts, in order.

@@ -12,6 +12,14 @@ use crate::waveform::Kind;
 /// 5e-6 at most.
 const ROUNDED: f64 = 1e-5;
 
+/// What is at hand of a record's samples that count.
+pub enum Content {
+    /// Their codes.
+    Codes(Codes),
+    /// How many of them lie at the rails, from a time when they were read.
+    Clipped(Option<i32>),
+}
+
 /// What all rows of an item share.
 pub struct Template<'a> {
     job: &'a Job<'a>,
@@ -86,8 +94,8 @@ impl<'a> Template<'a> {
         }
     }
 
-    /// The row that all records of the head of this one share; `length` is that of the codes that count.
-    pub fn shared(&self, file: &RawFile, record: usize, is_reference: bool, length: usize) -> Result<Trace, Bad> {
+    /// The row that all records of the head of this one share.
+    pub fn shared(&self, file: &RawFile, record: usize, is_reference: bool) -> Result<Trace, Bad> {
         let (head, keys) = (&file.records[record].head, &self.job.item.exposure.keys);
         let (dt_ps, file_dt_ps) = self.step(file, record)?;
         let gain_v = keys.gain_v.or(head.scale.map(|scale| scale.gain));
@@ -95,7 +103,7 @@ impl<'a> Template<'a> {
         // An offset belongs to its gain: where the campaign gives volts per code, the file's own scale is out.
         let of_file = head.scale.filter(|_| keys.gain_v.is_none()).map(|scale| scale.offset);
         let offset_v = keys.offset_v.or(of_file).unwrap_or(0.0);
-        let samples = length / head.code_type.bytes();
+        let samples = keys.samples.map_or(head.samples as u64, |[first, last]| last - first);
         let samples = i32::try_from(samples).map_err(|_| {
             file.bad_record(
                 record,
@@ -122,7 +130,12 @@ impl<'a> Template<'a> {
             code_type: head.code_type.name().into(),
             gain_v,
             offset_v,
-            codes: Codes::default(),
+            codes: None,
+            codes_file: None,
+            codes_file_digest: None,
+            codes_offset_bytes: None,
+            codes_stride_bytes: None,
+            codes_big_endian: None,
             acquired_at: head.acquired_at.as_deref().map(Into::into),
             clipped: None,
             averaged_shots: keys.averaged_shots.unwrap_or(1) as i32,
@@ -134,14 +147,14 @@ impl<'a> Template<'a> {
         })
     }
 
-    /// What a record has of its own, in addition to the row `shared`; `codes` are those of its samples that count.
+    /// What a record has of its own, in addition to the row `shared`.
     pub fn own(
         &self,
         file: &RawFile,
         number: usize,
         shot: i32,
         (shared, row): (usize, &Trace),
-        codes: &Codes,
+        content: Content,
     ) -> Result<OwnColumns, Bad> {
         let record = &file.records[number];
         let (head, keys) = (&record.head, &self.job.item.exposure.keys);
@@ -149,14 +162,22 @@ impl<'a> Template<'a> {
         let what = if head.t0_nominal { "time of sample 0 to better than some samples" } else { "time of sample 0" };
         let t0_ps = t0_ps.ok_or_else(|| missing(file, number, what, "t0_ps"))?;
         let first = keys.samples.map_or(0, |[first, _]| first);
-        let values = Samples::of(head.code_type.name(), codes).expect("code types have one name everywhere");
+        let (codes, clipped) = match content {
+            Content::Clipped(clipped) => (None, clipped),
+            Content::Codes(codes) => {
+                let values = Samples::of(head.code_type.name(), &codes).expect("code types have one name everywhere");
+                let clipped = head.rails.map(|(low, high)| values.count_at_or_beyond(low, high) as i32);
+                (Some(codes), clipped)
+            }
+        };
         Ok(OwnColumns {
             shared,
             shot,
             segment: record.segment.map(|segment| segment as i32),
             t0_ps: t0_ps + first as f64 * row.dt_ps,
-            codes: codes.clone(),
-            clipped: head.rails.map(|(low, high)| values.count_at_or_beyond(low, high) as i32),
+            codes,
+            clipped,
+            place: file.place_of_codes(number, first),
         })
     }
 }
