@@ -335,7 +335,13 @@ mod tests {
 
     /// A sensor whose pulses go down, 500 ps late.
     fn sensor() -> Calibrated {
-        Calibrated { response: response(), polarity: -1.0, latency_ps: 500.0, reference_v_ps: None }
+        Calibrated {
+            response: response(),
+            polarity: -1.0,
+            latency_ps: 500.0,
+            reference_v_ps: None,
+            width: [1.0, WIDTH_SD],
+        }
     }
 
     fn key() -> SensorRange {

@@ -72,8 +72,8 @@ impl<'a> Sources<'a> {
         Ok(Vec::new())
     }
 
-    /// Rows that are wanted, of the table that another one was made with: `deconvolve` may have another calibration than
-    /// the solver.
+    /// Rows that are wanted, of the table that another one was made with: `deconvolve` may have another calibration
+    /// than the solver.
     ///
     /// # Errors
     /// When a file cannot be read.

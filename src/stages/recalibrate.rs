@@ -10,8 +10,8 @@
 //!
 //! Takes `profiles` and `calibration`; writes `calibration`, every row of it, with `scene_width`, `scene_width_sd` and
 //! `scene_evidence` where it corrected one. Set `extent_max_ps` as in `deconvolve`: where light may be spread in time,
-//! only a narrower response is sought. At most [`PROFILES_MAX`] profiles of a sensor and range are used, the first ones; an
-//! `ingest` of its own with `captures_max` keeps the rest of the pipeline streaming.
+//! only a narrower response is sought. At most [`PROFILES_MAX`] profiles of a sensor and range are used, the first ones.
+//! An `ingest` of its own with `captures_max` keeps the rest of the pipeline streaming.
 //!
 //! Not modelled: counters, steps, and responses that change through a session stay as they are. A response that arrives
 //! earlier or later as a whole looks like a latency. Bounces that follow the first one by the same time with the same
@@ -155,26 +155,12 @@ impl Recalibrate {
         let Some(errors) = ResponseErrors::new(&calibrated.response, self.extent_max_ps.get() > 0.0) else {
             return stands();
         };
-        let ready = |profile| self.ready(context, row, &calibrated, profile);
+        let ready = |profile| ready(context, row, &calibrated, profile);
         let records: Vec<(&Profile, FlightProfile)> = profiles.iter().filter_map(ready).collect();
         let Some(own) = self.own_response(context, &errors, &records).filter(OwnResponse::is_common) else {
             return stands();
         };
         with_response(row, &calibrated, &errors.response(&own.coefficients), &own)
-    }
-
-    /// A profile as estimators take it; `None` for one that `deconvolve` will refuse.
-    fn ready<'a>(
-        &self,
-        context: &Context,
-        row: &Calibration,
-        calibrated: &Calibrated,
-        profile: &'a Profile,
-    ) -> Option<(&'a Profile, FlightProfile)> {
-        let period_ps = context.fields.get(&profile.campaign).and_then(|fields| fields.repetition_ps);
-        let (key, sd_v) = (row.sensor_range(), calibration::sd_v(profile));
-        let flight = FlightProfile::new(profile, (&key, calibrated), &context.sessions, period_ps, sd_v).ok()?;
-        Some((profile, flight))
     }
 
     fn own_response(
@@ -201,6 +187,19 @@ impl Recalibrate {
         }
         last
     }
+}
+
+/// A profile as estimators take it; `None` for one that `deconvolve` will refuse.
+fn ready<'a>(
+    context: &Context,
+    row: &Calibration,
+    calibrated: &Calibrated,
+    profile: &'a Profile,
+) -> Option<(&'a Profile, FlightProfile)> {
+    let period_ps = context.fields.get(&profile.campaign).and_then(|fields| fields.repetition_ps);
+    let (key, sd_v) = (row.sensor_range(), calibration::sd_v(profile));
+    let flight = FlightProfile::new(profile, (&key, calibrated), &context.sessions, period_ps, sd_v).ok()?;
+    Some((profile, flight))
 }
 
 /// The row with another response. Its arrival stays where it was: no profile shows it, the latency does.

@@ -7,9 +7,9 @@
 //! Model: `h + sum_j c_j e_j` in the place of h, with small coefficients c of given standard deviations about 0. The
 //! shapes e are the derivative by the logarithm of the width, copies of the response at delays, and the response behind
 //! exponential tails. Each record is fitted with its pulses; the residual's products with the shapes, freed of what
-//! times, amplitudes and ground of the record can imitate, add up to the normal equations of c. All is Gaussian, so that
-//! the marginal likelihoods of three models are known in closed form: the calibration stands, its width is another, its
-//! shape is another.
+//! times, amplitudes and ground of the record can imitate, add up to the normal equations of c. All is Gaussian, so
+//! that the marginal likelihoods of three models are known in closed form: the calibration stands, its width is
+//! another, its shape is another.
 //!
 //! A correction counts if it is as large in all records: patches that spread light each in their own way, and bounces
 //! that follow one another, are no property of the sensor. (A random effect between records: DerSimonian and Laird,
