@@ -8,7 +8,7 @@
 //! calibration stands where it explains the profiles as well, where they are too few, and where what they leave differs
 //! from profile to profile: patches that spread light each in their own way are no property of the sensor.
 //!
-//! Takes `profiles` and `calibration`; writes `calibration`, every row of it, with `scene_width`, `scene_width_sd` and
+//! Takes `profiles` and `calibration`; writes `calibration` of the sensors that it has profiles of, with `scene_width`, `scene_width_sd` and
 //! `scene_evidence` where it corrected one. Set `extent_max_ps` as in `deconvolve`: where light may be spread in time,
 //! only a narrower response is sought. At most [`PROFILES_MAX`] profiles of a sensor and range are used, the first ones.
 //! An `ingest` of its own with `captures_max` keeps the rest of the pipeline streaming.
@@ -42,7 +42,7 @@ use crate::signal::response::Response;
 use crate::signal::sparse::{OwnResponse, ResponseErrors, ResponseScore, SparseOptions};
 use crate::tables::profiles::ProfileColumns;
 use crate::tables::row::Row;
-use crate::tables::{Calibration, Profile, Session};
+use crate::tables::{Calibration, Name, Profile, Session};
 
 /// Most profiles of a sensor and range that are used.
 pub const PROFILES_MAX: usize = 256;
@@ -83,14 +83,18 @@ pub struct Context {
     cancel: Cancel,
 }
 
-/// The first profiles of each sensor and range.
-#[derive(Default)]
-pub struct State(BTreeMap<SensorRange, Vec<Profile>>);
+/// A sensor under way.
+pub struct State {
+    campaign: Name,
+    sensor: Name,
+    /// The first profiles of each range.
+    profiles: BTreeMap<SensorRange, Vec<Profile>>,
+}
 
 impl Stage for Recalibrate {
     const KIND: &'static str = "recalibrate";
     const VERSION: u32 = 1;
-    const GRAIN: Grain = Grain::All;
+    const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
         Beside { name: "session", table: "session", required: false },
@@ -115,8 +119,8 @@ impl Stage for Recalibrate {
 impl Fold for Recalibrate {
     type State = State;
 
-    fn begin(&self, _: &Context, _: Profile) -> State {
-        State::default()
+    fn begin(&self, _: &Context, first: Profile) -> State {
+        State { campaign: first.campaign, sensor: first.sensor, profiles: BTreeMap::new() }
     }
 
     fn step(
@@ -129,7 +133,7 @@ impl Fold for Recalibrate {
         for i in rows {
             let profile = Profile::read(columns, i);
             if let Some((key, _)) = context.sensors.of(&profile).filter(|_| profile.counts.is_none()) {
-                let profiles = state.0.entry(key.clone()).or_default();
+                let profiles = state.profiles.entry(key.clone()).or_default();
                 if profiles.len() < PROFILES_MAX {
                     profiles.push(profile);
                 }
@@ -139,8 +143,9 @@ impl Fold for Recalibrate {
     }
 
     fn finish(&self, context: &Context, state: State) -> Result<Outcome<Calibration>, StageError> {
-        let rows = context.calibration.iter().map(|row| {
-            let profiles = state.0.get(&row.sensor_range()).map_or(&[][..], Vec::as_slice);
+        let of_sensor = |row: &&Calibration| row.campaign == state.campaign && row.sensor == state.sensor;
+        let rows = context.calibration.iter().filter(of_sensor).map(|row| {
+            let profiles = state.profiles.get(&row.sensor_range()).map_or(&[][..], Vec::as_slice);
             self.corrected(context, row, profiles)
         });
         Ok(Outcome::rows(rows.collect()))

@@ -111,6 +111,25 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
     );
 }
 
+/// What a sample of the captures sets aside is told by the work that has them all.
+#[test]
+fn a_fault_in_a_sample_is_told_once() {
+    let lab = Lab::tiny();
+    let path = lab.campaign().join("raw/scene/s1_L1_P2_C1.trc");
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let sample = "[sample]\nstage = 'ingest'\nparams = { captures_max = 3 }\n\
+        [sampled]\nstage = 'average'\nfrom = 'sample'\nwith = { calibration = 'calibration' }\n";
+    let outcome = lab.run("out", &format!("{ALL_VISIBLE}{sample}"), &Settings::default()).unwrap();
+    let of_file = rejects(&lab).into_iter().filter(|row| row.contains("s1_L1_P2_C1.trc"));
+    assert_eq!((outcome.rejects, of_file.count()), (1, 1));
+    assert_eq!(outcome.tables["sampled"].rows("profiles"), 3);
+    // Alone, it tells.
+    let (calibration, _) = ALL_VISIBLE.split_once("[session_traces]").unwrap();
+    let outcome = lab.run("alone", &format!("{calibration}{sample}"), &Settings::default()).unwrap();
+    assert_eq!(outcome.rejects, 1);
+}
+
 /// The one sensor, 30 cm from the laser.
 const ASIDE: &str = "[stations.aside]\nposition_m = [0.3, 0.0, 0.0]\n[sensors.s1]\nstation = 'aside'\n";
 
