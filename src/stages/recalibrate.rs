@@ -8,10 +8,11 @@
 //! calibration stands where it explains the profiles as well, where they are too few, and where what they leave differs
 //! from profile to profile: patches that spread light each in their own way are no property of the sensor.
 //!
-//! Takes `profiles` and `calibration`; writes `calibration` of the sensors that it has profiles of, with `scene_width`,
-//! `scene_width_sd` and `scene_evidence` where it corrected one. Set `extent_max_ps` as in `deconvolve`: where light
-//! may be spread in time, only a narrower response is sought. At most [`PROFILES_MAX`] profiles of a sensor and range are
-//! used, the first ones. An `ingest` of its own with `captures_max` keeps the rest of the pipeline streaming.
+//! Takes `profiles` and `calibration`; writes `calibration` of the sensors that it has profiles of, with
+//! `scene_width`, `scene_width_sd` and `scene_evidence` where it corrected one. Set `extent_max_ps` as in
+//! `deconvolve`: where light may be spread in time, only a narrower response is sought. At most [`PROFILES_MAX`]
+//! profiles of a sensor and range are used, the first ones. An `ingest` of its own with `captures_max` keeps the rest
+//! of the pipeline streaming.
 //!
 //! Not modelled: counters, steps, and responses that change through a session stay as they are. A response that arrives
 //! earlier or later as a whole looks like a latency. Bounces that follow the first one by the same time with the same
