@@ -50,7 +50,7 @@ pub struct Ingest {
     #[serde(default = "scene")]
     roles: Vec<Role>,
     /// Most captures of each sensor, the first ones; absent: all.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     captures_max: Option<Count>,
     /// What the stored table has of the codes.
     #[serde(default)]

@@ -56,7 +56,7 @@ fn a_letter_is_an_extended_object_with_an_image() {
     // The report has the verdict first, and the image where places stand.
     let page = page::page(&Report::of(&folder.path().join("campaign-results")).unwrap());
     let at = |text: &str| page.find(text).unwrap_or_else(|| panic!("{text} is not in the report"));
-    assert!(at("Hidden things: an extended object") < at("What the wall shows"));
+    assert!(at("hidden things: an extended object") < at("What the wall shows"));
     assert!(at("image-0") < at("Positions of 64 patches") && page.contains("image-2"));
     // The volume has the voxels of the table at their places.
     periscope(folder.path(), &["export", "campaign-results", "volume.npy"]);
