@@ -3,6 +3,9 @@
 //! A tree cannot deadlock: rows only go down. A table appears only on an explicit end; a closed channel without it
 //! means that somebody failed, and the first cause is what the run reports.
 
+mod root;
+mod step;
+
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -20,12 +23,10 @@ use super::progress::Progress;
 use super::settings::{RunError, Settings};
 use crate::cancel::{Cancel, Cancelled};
 use crate::stages::Node;
-use crate::stages::operator::{OutputBatches, Running};
-use crate::stages::source::{Credit, Feed, PartRead};
+use crate::stages::operator::OutputBatches;
+use crate::stages::source::Credit;
 use crate::stages::stage::{BesideTables, Rejection, StageError};
-use crate::store::shelf::PartWriter;
-use crate::store::{Digest, PartRecord, StoreError, TableRecord};
-use crate::tables::{Reject, Row};
+use crate::store::{Digest, PartRecord, StoreError};
 
 /// Batches of parts that are joined, and the mean size in bytes up to which they are.
 const TOGETHER: usize = 256;
@@ -200,13 +201,13 @@ pub fn run(
             let children = senders.remove(&step).unwrap_or_default();
             let beside = beside.remove(&step).expect("collected above");
             let joined = pass.joined.as_ref().filter(|joined| joined.step == step);
-            let body = move || shared.guard(step, || work(shared, step, &receiver, &children, beside, joined));
+            let body = move || shared.guard(step, || step::work(shared, step, &receiver, &children, beside, joined));
             if let Err(source) = thread::Builder::new().spawn_scoped(scope, body) {
                 shared.fail(Failure::Cause(RunError::Thread { heading: shared.heading(step), source }));
             }
         }
         let children = senders.remove(&usize::MAX).unwrap_or_default();
-        shared.guard(pass.root, || read(shared, pass, &children));
+        shared.guard(pass.root, || root::read(shared, pass, &children));
         drop(children);
     });
     content.extend(shared.content.into_inner().unwrap_or_else(PoisonError::into_inner));
@@ -261,247 +262,4 @@ fn stored(plan: &Plan<'_>, step: usize, table: &str, part: &PartRecord) -> Resul
 
 fn send(children: &[Sender<Message>], message: impl Fn() -> Message) -> Result<(), Failure> {
     children.iter().try_for_each(|child| child.send(message()).map_err(|_| Failure::Stopped))
-}
-
-/// The thread of the root: reads a source, or replays a table.
-fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Result<(), Failure> {
-    let plan = shared.plan;
-    for &part in &pass.parts {
-        shared.go_on()?;
-        if pass.steps.contains(&pass.root) {
-            let source = &plan.sources[&pass.root];
-            let stores = plan.spec.steps[pass.root].keep && !plan.stands_in(pass.root) && plan.lacks(pass.root, part);
-            let feed = Channel { shared, children, stores };
-            let part_read = match pass.joined.as_ref().zip(source.divisible()) {
-                // A part with an exceptional shot cannot be joined from pieces; it is computed whole.
-                Some((joined, pieces)) => {
-                    pieces.join(part, &joined.learnt, &feed).map(|content| PartRead { content, rejections: Vec::new() })
-                }
-                None => source.read(part, shared.settings.batch_bytes, &feed),
-            };
-            let PartRead { content, rejections } = part_read.map_err(|error| shared.failed(pass.root, error))?;
-            shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
-            let beside = plan.beside(pass.root).expect("a source has nothing beside it");
-            let lineage = plan.part_lineage(pass.root, &content, &beside);
-            send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
-        } else {
-            replay(shared, pass.root, part, children)?;
-        }
-    }
-    send(children, || Message::End)
-}
-
-fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Message>]) -> Result<(), Failure> {
-    let plan = shared.plan;
-    let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
-    let table = &plan.stored_tables(root)[0].0;
-    for batch in plan.shelf.read(&plan.tables[root].id, record, table, shared.settings.replay_rows)? {
-        let batch = batch?;
-        shared.go_on()?;
-        let credit = shared
-            .budget
-            .reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2))
-            .map_err(|_| Failure::Stopped)?;
-        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
-        shared.progress.advance(batch.num_rows() as u64);
-    }
-    send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
-}
-
-/// Hands a source's rows to the first stages.
-struct Channel<'a> {
-    shared: &'a Shared<'a>,
-    /// The source's own step alone, which hands rows on.
-    children: &'a [Sender<Message>],
-    /// Whether the part of its table is to be made, and does not have the rows that are sent on.
-    stores: bool,
-}
-
-impl Feed for Channel<'_> {
-    fn most(&self) -> usize {
-        self.shared.settings.memory_bytes
-    }
-
-    fn reserve(&self, bytes: usize) -> Result<Credit, StageError> {
-        self.shared.budget.reserve(bytes.min(self.shared.settings.memory_bytes / 2))
-    }
-
-    fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError> {
-        send(self.children, || Message::Rows(batch.clone(), Some(credit.clone()))).map_err(|_| StageError::Stopped)
-    }
-
-    fn read_bytes(&self, bytes: u64) {
-        self.shared.progress.advance(bytes);
-    }
-
-    fn stores(&self) -> bool {
-        self.stores
-    }
-
-    fn store(&self, batch: RecordBatch) -> Result<(), StageError> {
-        send(self.children, || Message::Stored(batch.clone())).map_err(|_| StageError::Stopped)
-    }
-}
-
-/// Rows pass through unchanged: the work of a source's own step, which only writes.
-struct Through;
-
-impl Running for Through {
-    fn push(&mut self, batch: &RecordBatch) -> Result<OutputBatches, StageError> {
-        Ok(OutputBatches { tables: vec![vec![batch.clone()]], rejections: Vec::new() })
-    }
-    fn flush(&mut self) -> Result<OutputBatches, StageError> {
-        Ok(OutputBatches::default())
-    }
-}
-
-/// What was joined of pieces comes as the rows of a part.
-struct Given(OutputBatches);
-
-impl Running for Given {
-    fn push(&mut self, _: &RecordBatch) -> Result<OutputBatches, StageError> {
-        Ok(OutputBatches::default())
-    }
-    fn flush(&mut self) -> Result<OutputBatches, StageError> {
-        Ok(std::mem::take(&mut self.0))
-    }
-}
-
-/// The thread of one step: takes rows, writes its tables, hands its main table on.
-fn work(
-    shared: &Shared<'_>,
-    step: usize,
-    input: &Receiver<Message>,
-    children: &[Sender<Message>],
-    tables: BesideTables,
-    joined: Option<&Joined>,
-) -> Result<(), Failure> {
-    let plan = shared.plan;
-    let streams = plan.streams(step);
-    let failed = |error| shared.failed(step, error);
-    let mut running: Box<dyn Running + '_> = match (joined, &plan.spec.steps[step].node) {
-        (Some(joined), _) => Box::new(Given(joined.output.clone())),
-        (_, Node::Source(_)) => Box::new(Through),
-        (_, Node::Operator(operator)) => operator.start(plan.campaigns, &tables).map_err(failed)?,
-    };
-    // The stage has taken what it needs; whole tables would stay in memory until it ends.
-    drop(tables);
-    let beside = plan.beside(step).expect("tables beside a step are finished before its pass");
-    let mut inputs = Vec::new();
-    let mut writer = None;
-    loop {
-        let message = input.recv().map_err(|_| Failure::Stopped)?;
-        shared.go_on()?;
-        match message {
-            Message::Rows(batch, credit) => {
-                let output = running.push(&batch).map_err(failed)?;
-                emit(shared, step, &mut writer, output, children, credit.as_ref())?;
-            }
-            Message::Stored(batch) => open(shared, step, &mut writer)?.write(0, &batch)?,
-            Message::PartEnd(part, lineage, rejections) if streams => {
-                let mut output = running.flush().map_err(failed)?;
-                output.rejections.extend(rejections);
-                emit(shared, step, &mut writer, output, children, None)?;
-                let lineage = match &plan.spec.steps[step].node {
-                    Node::Source(_) => lineage,
-                    Node::Operator(_) => plan.part_lineage(step, &lineage, &beside),
-                };
-                end_part(shared, step, &mut writer, part, lineage, children)?;
-            }
-            Message::PartEnd(_, lineage, _) => inputs.push(lineage),
-            Message::End => break,
-        }
-    }
-    if !streams {
-        let output = running.flush().map_err(failed)?;
-        emit(shared, step, &mut writer, output, children, None)?;
-        let lineage = plan.part_lineage(step, &TableRecord::lineage_of(&inputs), &beside);
-        end_part(shared, step, &mut writer, 0, lineage, children)?;
-    }
-    send(children, || Message::End)
-}
-
-/// Writes what a stage made, and hands its main table on.
-fn emit<'a>(
-    shared: &Shared<'a>,
-    step: usize,
-    writer: &mut Option<PartWriter<'a>>,
-    output: OutputBatches,
-    children: &[Sender<Message>],
-    credit: Option<&Credit>,
-) -> Result<(), Failure> {
-    let plan = shared.plan;
-    let tables = plan.stored_tables(step).len();
-    if plan.stands_in(step) {
-        let writer = open(shared, step, writer)?;
-        for (table, batches) in output.tables.iter().enumerate() {
-            batches.iter().try_for_each(|batch| writer.write(table, batch))?;
-        }
-    }
-    if !output.rejections.is_empty() {
-        let heading = &plan.spec.steps[step].heading;
-        let rows: Vec<Reject> = output.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
-        shared.progress.set_aside(rows.len() as u64);
-        open(shared, step, writer)?.write(tables - 1, &Reject::to_batch(&rows))?;
-    }
-    let Some(main) = output.tables.into_iter().next() else {
-        return Ok(());
-    };
-    // Rows that a source read hold its memory until the last stage that sees them as they are has let go.
-    let passed = matches!(plan.spec.steps[step].node, Node::Source(_));
-    main.iter()
-        .try_for_each(|batch| send(children, || Message::Rows(batch.clone(), credit.filter(|_| passed).cloned())))
-}
-
-fn open<'a, 'b>(
-    shared: &Shared<'a>,
-    step: usize,
-    writer: &'b mut Option<PartWriter<'a>>,
-) -> Result<&'b mut PartWriter<'a>, Failure> {
-    let plan = shared.plan;
-    if writer.is_none() {
-        *writer = Some(plan.shelf.begin(&plan.tables[step].id, &plan.stored_tables(step))?);
-    }
-    Ok(writer.as_mut().expect("made above"))
-}
-
-/// Commits a part, and ends it for the steps below. These end theirs meanwhile; but where rows are not kept, the list
-/// of rejects counts first: once all that is made of the rows is there, no run would look for it again.
-fn end_part<'a>(
-    shared: &Shared<'a>,
-    step: usize,
-    writer: &mut Option<PartWriter<'a>>,
-    part: usize,
-    lineage: Digest,
-    children: &[Sender<Message>],
-) -> Result<(), Failure> {
-    let end = || send(children, || Message::PartEnd(part, lineage, Vec::new()));
-    if shared.plan.spec.steps[step].keep {
-        end()?;
-        commit(shared, step, writer, lineage)
-    } else {
-        commit(shared, step, writer, lineage)?;
-        end()
-    }
-}
-
-fn commit<'a>(
-    shared: &Shared<'a>,
-    step: usize,
-    writer: &mut Option<PartWriter<'a>>,
-    lineage: Digest,
-) -> Result<(), Failure> {
-    // A part that was on the shelf before stays as it is, and its rejects are counted already: rows that are not stored
-    // are computed again for the steps that need them.
-    if shared.plan.tables[step].present.iter().flatten().any(|part| part.lineage == lineage) {
-        *writer = None;
-        return Ok(());
-    }
-    open(shared, step, writer)?;
-    let writer = writer.take().expect("opened above");
-    let part = writer.commit(lineage)?;
-    let rejects = part.files.get(Reject::TABLE).map_or(0, |file| file.rows);
-    let mut allowed = shared.allowed.lock().unwrap_or_else(PoisonError::into_inner);
-    *allowed = allowed.checked_sub(rejects).ok_or(Failure::Early(Ended::TooManyRejects))?;
-    Ok(())
 }

@@ -128,19 +128,20 @@ fn behind(plan: &Plan<'_>) -> Vec<usize> {
 
 /// Those that tell what was rejected: not what is made from a sample of the captures that another source reads all of.
 fn telling(plan: &Plan<'_>) -> Vec<usize> {
-    let source = |i: usize| {
-        let root = std::iter::successors(Some(i), |&i| plan.from(i)).last()?;
-        match &plan.spec.steps[root].node {
-            Node::Source(source) => Some(source.as_ref()),
-            Node::Operator(_) => None,
-        }
-    };
     let behind = behind(plan);
-    let is_sample = |i: usize| {
-        let others = || behind.iter().filter_map(|&other| source(other));
-        source(i).is_some_and(|own| others().any(|other| own.is_sample_of(other)))
+    let source = |i: usize| match &plan.spec.steps[i].node {
+        Node::Source(source) => Some(source.as_ref()),
+        Node::Operator(_) => None,
     };
-    behind.iter().copied().filter(|&i| !is_sample(i)).collect()
+    let sources: Vec<_> = behind.iter().filter_map(|&i| source(i)).collect();
+    let mut is_sample = vec![false; plan.tables.len()];
+    for &i in &behind {
+        is_sample[i] = match source(i) {
+            Some(own) => sources.iter().any(|other| own.is_sample_of(*other)),
+            None => plan.from(i).is_some_and(|from| is_sample[from]),
+        };
+    }
+    behind.into_iter().filter(|&i| !is_sample[i]).collect()
 }
 
 /// Records that the campaigns have for this run.

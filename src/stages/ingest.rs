@@ -117,10 +117,13 @@ impl Source for Ingest {
         self.codes != Storage::Indexed
     }
     fn is_sample_of(&self, other: &dyn Source) -> bool {
-        let Ok(params) = other.params() else { return false };
-        let roles: Vec<Role> = serde_json::from_value(params["roles"].clone()).unwrap_or_default();
-        let is_whole = other.kind() == self.kind() && params["captures_max"].is_null();
-        self.captures_max.is_some() && is_whole && self.roles.iter().all(|role| roles.contains(role))
+        if self.captures_max.is_none() || other.kind() != self.kind() {
+            return false;
+        }
+        let other = other.params().ok().and_then(|params| serde_json::from_value::<Self>(params).ok());
+        other.is_some_and(|other| {
+            other.captures_max.is_none() && self.roles.iter().all(|role| other.roles.contains(role))
+        })
     }
     fn open<'a>(&'a self, campaigns: &'a [Campaign], notes: &Path) -> Result<Box<dyn OpenSource + 'a>, StageError> {
         Ok(Box::new(Surveyed::new(campaigns, &self.roles, self.captures_max.map(Count::get), notes)?))

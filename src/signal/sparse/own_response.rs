@@ -188,10 +188,9 @@ impl ResponseErrors {
             all.information.iter_mut().zip(&score.information).for_each(|(sum, value)| *sum += value);
             all.gradient.iter_mut().zip(&score.gradient).for_each(|(sum, value)| *sum += value);
         }
-        let every: Vec<usize> = (0..shapes).collect();
-        let width = self.posterior(&all, &every[..1]).filter(|own| !self.may_spread || own.coefficients[0] < 0.0);
+        let width = self.posterior(&all, 1).filter(|own| !self.may_spread || own.coefficients[0] < 0.0);
         let of_width = width.as_ref().map_or(0.0, |own| own.gain);
-        let shape = self.posterior(&all, &every).filter(|_| !self.may_spread);
+        let shape = self.posterior(&all, shapes).filter(|_| !self.may_spread);
         let shape = shape.filter(|own| own.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);
         let mut found = shape.or(width).filter(|found| found.gain > LEAST_GAIN)?;
         let sizes: Vec<(f64, f64)> = scores.iter().filter_map(|score| score.size_along(&found.coefficients)).collect();
@@ -200,22 +199,23 @@ impl ResponseErrors {
         Some(found)
     }
 
-    /// The likeliest coefficients of the first shapes, those `open`, the others 0.
-    fn posterior(&self, score: &ResponseScore, open: &[usize]) -> Option<OwnResponse> {
-        let (shapes, count) = (self.shapes.len(), open.len());
+    /// The likeliest coefficients of the first `count` shapes, the others 0.
+    fn posterior(&self, score: &ResponseScore, count: usize) -> Option<OwnResponse> {
+        let shapes = self.shapes.len();
         // In units of the standard deviations before.
-        let unit = |i: usize, j: usize| self.sds[open[i]] * self.sds[open[j]];
-        let scaled = |i: usize, j: usize| {
-            f64::from(u8::from(i == j)) + unit(i, j) * score.information[open[i] * shapes + open[j]]
+        let scaled = |(i, j): (usize, usize)| {
+            f64::from(u8::from(i == j)) + self.sds[i] * self.sds[j] * score.information[i * shapes + j]
         };
-        let matrix = (0..count).flat_map(|i| (0..count).map(move |j| (i, j))).map(|(i, j)| scaled(i, j)).collect();
+        let matrix = (0..count).flat_map(|i| (0..count).map(move |j| (i, j))).map(scaled).collect();
         let factor = Cholesky::new(matrix, count)?;
-        let mut half: Vec<f64> = open.iter().map(|j| self.sds[*j] * score.gradient[*j]).collect();
+        let mut half: Vec<f64> = self.sds[..count].iter().zip(&score.gradient).map(|(sd, g)| sd * g).collect();
         factor.solve_lower(&mut half);
         let gain = 0.5 * half.iter().map(|v| v * v).sum::<f64>() - factor.half_log_determinant();
         factor.solve_upper(&mut half);
         let mut coefficients = self.none();
-        open.iter().zip(&half).for_each(|(j, value)| coefficients[*j] = self.sds[*j] * value);
+        for ((coefficient, sd), value) in coefficients.iter_mut().zip(&self.sds).zip(half) {
+            *coefficient = sd * value;
+        }
         let width = [coefficients[0].exp(), self.sds[0] * factor.inverse()[0].sqrt()];
         Some(OwnResponse { coefficients, width, gain, spread: [0.0; 2] })
     }

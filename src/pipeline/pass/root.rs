@@ -1,0 +1,90 @@
+//! The thread at the root of a pass: reads a source, or replays a stored table.
+
+use std::sync::PoisonError;
+
+use arrow_array::RecordBatch;
+use crossbeam_channel::Sender;
+
+use super::{Failure, Message, Pass, Shared, send};
+use crate::stages::source::{Credit, Feed, PartRead};
+use crate::stages::stage::StageError;
+
+/// The thread of the root: reads a source, or replays a table.
+pub(super) fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Result<(), Failure> {
+    let plan = shared.plan;
+    for &part in &pass.parts {
+        shared.go_on()?;
+        if pass.steps.contains(&pass.root) {
+            let source = &plan.sources[&pass.root];
+            let stores = plan.spec.steps[pass.root].keep && !plan.stands_in(pass.root) && plan.lacks(pass.root, part);
+            let feed = Channel { shared, children, stores };
+            let part_read = match pass.joined.as_ref().zip(source.divisible()) {
+                // A part with an exceptional shot cannot be joined from pieces; it is computed whole.
+                Some((joined, pieces)) => {
+                    pieces.join(part, &joined.learnt, &feed).map(|content| PartRead { content, rejections: Vec::new() })
+                }
+                None => source.read(part, shared.settings.batch_bytes, &feed),
+            };
+            let PartRead { content, rejections } = part_read.map_err(|error| shared.failed(pass.root, error))?;
+            shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
+            let beside = plan.beside(pass.root).expect("a source has nothing beside it");
+            let lineage = plan.part_lineage(pass.root, &content, &beside);
+            send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
+        } else {
+            replay(shared, pass.root, part, children)?;
+        }
+    }
+    send(children, || Message::End)
+}
+
+fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Message>]) -> Result<(), Failure> {
+    let plan = shared.plan;
+    let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
+    let table = &plan.stored_tables(root)[0].0;
+    for batch in plan.shelf.read(&plan.tables[root].id, record, table, shared.settings.replay_rows)? {
+        let batch = batch?;
+        shared.go_on()?;
+        let credit = shared
+            .budget
+            .reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2))
+            .map_err(|_| Failure::Stopped)?;
+        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
+        shared.progress.advance(batch.num_rows() as u64);
+    }
+    send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
+}
+
+/// Hands a source's rows to the first stages.
+struct Channel<'a> {
+    shared: &'a Shared<'a>,
+    /// The source's own step alone, which hands rows on.
+    children: &'a [Sender<Message>],
+    /// Whether the part of its table is to be made, and does not have the rows that are sent on.
+    stores: bool,
+}
+
+impl Feed for Channel<'_> {
+    fn most(&self) -> usize {
+        self.shared.settings.memory_bytes
+    }
+
+    fn reserve(&self, bytes: usize) -> Result<Credit, StageError> {
+        self.shared.budget.reserve(bytes.min(self.shared.settings.memory_bytes / 2))
+    }
+
+    fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError> {
+        send(self.children, || Message::Rows(batch.clone(), Some(credit.clone()))).map_err(|_| StageError::Stopped)
+    }
+
+    fn read_bytes(&self, bytes: u64) {
+        self.shared.progress.advance(bytes);
+    }
+
+    fn stores(&self) -> bool {
+        self.stores
+    }
+
+    fn store(&self, batch: RecordBatch) -> Result<(), StageError> {
+        send(self.children, || Message::Stored(batch.clone())).map_err(|_| StageError::Stopped)
+    }
+}
