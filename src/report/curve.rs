@@ -19,8 +19,6 @@ use crate::signal::sparse::{Pulse, Unpiled};
 use crate::signal::whiten::Whitener;
 use crate::tables::{Impulse, Profile, Session};
 
-/// Standard deviation of the logarithm of the width's factor before a profile is seen, as the stage takes it.
-const WIDTH_SD: f64 = 0.03;
 /// Chi-square over that of the stage from which other widths are tried; logarithms of the least and the largest, and
 /// steps between them and within one.
 const FAR_OFF: f64 = 1.1;
@@ -80,7 +78,7 @@ impl Curve {
         }
         let (response, polarity) = (sensor.1.averaged(profile), sensor.1.polarity);
         let fit = |factor: f64| Fit::new(&flight, &response.stretched(factor), polarity, explanation, unpiled.as_ref());
-        let best = likeliest(fit, explanation);
+        let best = likeliest(fit, explanation, sensor.1.width[1]);
         let signed = |values: Vec<f64>| values.into_iter().map(|value| polarity * value).collect();
         Some(Self {
             t0_ps: flight.t0_ps,
@@ -99,11 +97,11 @@ fn unpiled(counts: &[i32], cycles: i64, dead_bins: f64) -> Option<Unpiled> {
 }
 
 /// The fit with the response as calibrated, or as wide as the profile shows it, drawn towards the calibration as by the
-/// stage; else with that of the width that fits best.
-fn likeliest(fit: impl Fn(f64) -> Fit, explanation: &Explanation<'_>) -> Fit {
+/// stage, whose width has the standard deviation `width_sd`; else with that of the width that fits best.
+fn likeliest(fit: impl Fn(f64) -> Fit, explanation: &Explanation<'_>, width_sd: f64) -> Fit {
     let better = |one: Fit, other: Fit| if other.chi2_dof < one.chi2_dof { other } else { one };
     let shrunk = |[factor, sd]: [f64; 2]| {
-        let (own, prior) = (sd.powi(-2), WIDTH_SD.powi(-2));
+        let (own, prior) = (sd.powi(-2), width_sd.powi(-2));
         (factor.ln() * own / (own + prior)).exp()
     };
     let shown = explanation.width.map(shrunk).filter(|factor| factor.is_finite() && *factor > 0.0);
@@ -335,13 +333,7 @@ mod tests {
 
     /// A sensor whose pulses go down, 500 ps late.
     fn sensor() -> Calibrated {
-        Calibrated {
-            response: response(),
-            polarity: -1.0,
-            latency_ps: 500.0,
-            reference_v_ps: None,
-            width: [1.0, WIDTH_SD],
-        }
+        Calibrated { response: response(), polarity: -1.0, latency_ps: 500.0, reference_v_ps: None, width: [1.0, 0.03] }
     }
 
     fn key() -> SensorRange {
