@@ -3,6 +3,8 @@
 //! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
 //! a fourth number takes scans of so many photons in a mean histogram alone. Names of things take these alone.
 //!
+//! Points on shapes are those of `shape`; radii of spheres are listed in a second table.
+//!
 //! `cargo bench --bench surfaces -- write FOLDER 1 32 2000 3000` writes such scans as `THING-PHOTONS-SEED.mat`, with
 //! points of the true surface beside each (`.csv`: x, y, z, normal), and runs nothing: for other programs.
 
@@ -16,7 +18,7 @@ mod relay_scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use first_returns::{Tally, capture, median, tallies, thing};
+use first_returns::{Results, Tally, capture, median, results, thing};
 
 const THINGS: [&str; 6] = ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"];
 const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];
@@ -44,16 +46,41 @@ fn main() {
         "| scene | photons | kind | scans | points | of a farther thing | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
+    let mut shapes = String::new();
     for kind in things {
         for photons in &photons {
-            let of_seed = |seed| tallies(&thing(kind, seed), &capture(side, seed), *photons);
-            let scans: Vec<[Tally; 3]> = (first..first + scans).map(of_seed).collect();
+            let of_seed = |seed| results(&thing(kind, seed), &capture(side, seed), *photons);
+            let scans: Vec<Results> = (first..first + scans).map(of_seed).collect();
             for (k, name) in KINDS.iter().enumerate() {
-                let of_kind: Vec<&Tally> = scans.iter().map(|one| &one[k]).filter(|one| one.points > 0).collect();
-                print(&format!("{kind} | {photons} | {name}"), &of_kind);
+                let tables: [(&str, fn(&Results) -> &[Tally; 3]); 2] =
+                    [("", |one| &one.points), (", on shapes", |one| &one.on_shapes)];
+                for (which, table) in tables {
+                    let of_kind = scans.iter().map(|one| &table(one)[k]).filter(|one| one.points > 0);
+                    print(&format!("{kind} | {photons} | {name}{which}"), &of_kind.collect::<Vec<_>>());
+                }
             }
+            shapes.push_str(&told(&format!("{kind} | {photons}"), &scans));
         }
     }
+    println!(
+        "\n| scene | photons | scans | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|"
+    );
+    print!("{shapes}");
+}
+
+/// Shapes that were told, and radii of spheres: those of the study have 0.2 m, or 0.12 m beside a plate.
+fn told(name: &str, scans: &[Results]) -> String {
+    let count = |kind: &str| scans.iter().flat_map(|one| &one.shapes).filter(|shape| *shape.kind == *kind).count();
+    let kinds = ["plane", "sphere", "cylinder", "edge", "corner"];
+    let of_scan = |kind: &str| format!("{:.1} {kind}", count(kind) as f64 / scans.len() as f64);
+    let shapes: Vec<String> = kinds.iter().filter(|kind| count(kind) > 0).map(|kind| of_scan(kind)).collect();
+    let true_m = if name.contains("plate") { 0.12 } else { 0.2 };
+    let radii = scans.iter().flat_map(|one| &one.shapes).filter(|shape| &*shape.kind == "sphere");
+    let off: Vec<[f64; 2]> = radii.filter_map(|shape| Some([shape.radius_m? - true_m, shape.radius_sd_m?])).collect();
+    let list =
+        |of: fn(&[f64; 2]) -> f64| off.iter().map(|one| format!("{:.1}", of(one))).collect::<Vec<_>>().join(", ");
+    let [mm, sds] = [list(|one| 1e3 * one[0]), list(|one| one[0] / one[1])];
+    format!("| {name} | {} | {} | {mm} | {sds} |\n", scans.len(), shapes.join(", "))
 }
 
 /// A scan, and points of its surface that face the wall.

@@ -17,6 +17,9 @@ use super::whole_file;
 /// Table of all patches, weak ones among them, where a pipeline searches for these.
 const ALL: &str = "all_patches";
 
+/// Table of points of a surface, those of shapes as the shapes say them, where a pipeline looks for these.
+const ON_SHAPES: &str = "shapes.points";
+
 /// Arguments of `export`.
 #[derive(Args)]
 #[command(after_help = "Conventions of both files: docs/interoperation.md")]
@@ -31,8 +34,9 @@ pub struct Export {
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]
     patches: Option<String>,
-    /// .ply, .npy: points of a surface from this table, in place of patches and volume [default: `surface`]
-    #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "surface")]
+    /// .ply, .npy: points of a surface from this table, in place of patches and volume [default: `shapes.points` if there
+    /// is one, else `surface`]
+    #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "")]
     surface_points: Option<String>,
     /// .ply: echoes of a lidar from this table, in place of patches [default: `echoes`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "echoes")]
@@ -144,7 +148,9 @@ fn write_echoes(shelf: &Shelf, args: &Export, view: &str) -> Result<()> {
 
 /// Points of the surface: at least one.
 fn surface(shelf: &Shelf, args: &Export) -> Result<Vec<SurfacePoint>> {
-    let view = args.surface_points.as_deref().unwrap_or("surface");
+    let given = args.surface_points.as_deref().filter(|view| !view.is_empty());
+    let found = shelf.table_of(ON_SHAPES)?.map_or("surface", |_| ON_SHAPES);
+    let view = given.unwrap_or(found);
     let points: Vec<SurfacePoint> = rows(shelf, view)?;
     if points.is_empty() {
         let results = args.results.display();

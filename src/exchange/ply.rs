@@ -6,7 +6,8 @@
 //!
 //! Points of a surface: place, normal (the direction to the wall where it is no normal), a colour by the standard
 //! deviation (blue the surest, red from twice the median on), lit and seen patch of the wall, kind (0 smooth, 1 edge,
-//! 2 corner, 3 unknown), then standard deviation and covariance.
+//! 2 corner, 3 unknown), then standard deviation and covariance, standard deviation of the normal, and number of the
+//! shape that says the point (0: none).
 //!
 //! Echoes of a lidar: place in the frame of the file, standard deviation along the beam, height, width and its standard
 //! deviation, number of the echo and of the echoes of its pulse, GPS time.
@@ -66,7 +67,7 @@ pub fn write_surface(out: &mut impl Write, points: &[SurfacePoint]) -> io::Resul
     ["red", "green", "blue"].iter().try_for_each(|name| writeln!(out, "property uchar {name}"))?;
     writeln!(out, "property int lit\nproperty int seen\nproperty uchar kind\nproperty double sd_m")?;
     ["xx", "xy", "xz", "yy", "yz", "zz"].iter().try_for_each(|pair| writeln!(out, "property double cov_{pair}_m2"))?;
-    writeln!(out, "end_header")?;
+    writeln!(out, "property double normal_sd_rad\nproperty int shape\nend_header")?;
     let mut sds_m: Vec<f64> = points.iter().map(|point| point.sd_m).collect();
     sds_m.sort_by(f64::total_cmp);
     let median_m = sds_m.get(sds_m.len() / 2).copied().unwrap_or(1.0);
@@ -85,7 +86,8 @@ pub fn write_surface(out: &mut impl Write, points: &[SurfacePoint]) -> io::Resul
         for value in covariance_m2(point) {
             write!(out, " {value:e}")?;
         }
-        writeln!(out)?;
+        let normal_sd_rad = (point.normal_cov_xx + point.normal_cov_yy + point.normal_cov_zz).sqrt();
+        writeln!(out, " {normal_sd_rad:e} {}", point.shape.unwrap_or(0))?;
     }
     Ok(())
 }

@@ -82,6 +82,12 @@ impl Definite {
         Some(Self { lower })
     }
 
+    /// Logarithm of the determinant.
+    #[must_use]
+    pub fn log_determinant(&self) -> f64 {
+        (0..self.lower.nrows()).map(|k| 2.0 * self.lower[(k, k)].ln()).sum()
+    }
+
     /// Solutions for several right-hand sides, as columns.
     pub fn solve(&self, right: &mut Mat<f64>) {
         let mut memory =

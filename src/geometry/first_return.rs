@@ -51,6 +51,7 @@ use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::Point;
+use super::neighbours::neighbours;
 use choice::Choice;
 use dispersion::Dispersion;
 use field::Field;
@@ -114,11 +115,28 @@ pub struct Scan {
     pub places: Vec<Place>,
 }
 
+/// First light at a place under the law that its surface sets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FirstLight {
+    /// Length: half of its way there and back, or its way from the lit point over the surface.
+    pub length_m: f64,
+    /// Standard deviation of its noise.
+    pub sd_m: f64,
+    /// Standard deviation of the error of its law, a smooth random function over the wall.
+    pub law_m: f64,
+    /// Over which that function's correlation falls as a Gaussian.
+    pub zone_m: f64,
+    /// Standard deviation of the error that all places have in common.
+    pub common_m: f64,
+}
+
 /// A point of a hidden surface.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SurfacePoint {
     /// Number of the place that it is nearest to.
     pub place: usize,
+    /// The light that tells it.
+    pub light: FirstLight,
     /// Position.
     pub point: Point,
     /// Its covariance.
@@ -187,7 +205,7 @@ struct Rounds<'a> {
 impl<'a> Rounds<'a> {
     fn new(scan: &'a Scan, cancel: &Cancel) -> Self {
         let points: Vec<Point> = scan.places.iter().map(|place| place.seen).collect();
-        let near = windows::neighbours(&points, windows::MOST, cancel);
+        let near = neighbours(&points, windows::MOST, cancel);
         let likely = laws::by_likelihood(scan, &near);
         let fields =
             windows::fields(scan, &laws::samples(scan, &likely), &near, &windows::SIZES[..windows::FEW], cancel);

@@ -76,6 +76,7 @@
 //! | [`hidden`], [`faint`] | patches that no first bounce reaches |
 //! | [`joint`] | small hidden things from all photon histograms of a wall together |
 //! | [`first_return`] | points of hidden surfaces, with normals, from the first light at each point of a wall |
+//! | [`shapes`] | planes, spheres, cylinders, edges and corners that such points lie on |
 //! | [`mirror`], [`bistatic`] | scenes behind a diffuser, source and sensor apart |
 //! | [`companion`] | light of other paths that an onset does not resolve |
 //! | [`planes`], [`frame`], [`procrustes`], [`ellipsoid`], [`footprint`] | what positions say, and in which frame |
@@ -118,6 +119,7 @@ pub mod loss;
 pub mod maximum_likelihood;
 pub mod mirror;
 pub mod multilateration;
+mod neighbours;
 pub mod path;
 pub mod placement;
 pub mod planes;
@@ -126,6 +128,7 @@ pub mod reestimate;
 #[cfg(test)]
 #[expect(dead_code, reason = "the studies use more of it")]
 mod room;
+pub mod shapes;
 pub mod smacof;
 pub mod t2;
 pub mod t3;

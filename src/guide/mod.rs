@@ -37,6 +37,7 @@ pub mod stages {
         detect = "stages/detect.md";
         embed = "stages/embed.md";
         first_returns = "stages/first_returns.md";
+        shape = "stages/shape.md";
         image = "stages/image.md";
         import = "stages/import.md";
         ingest = "stages/ingest.md";

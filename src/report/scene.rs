@@ -11,7 +11,7 @@ use crate::campaign::keys::LASER;
 use crate::geometry::ellipsoid::semi_axes_m;
 use crate::history::HistoryError;
 use crate::tables::{
-    Ambiguity, Decision, Fit, Gap, Hypothesis, JointSearch, Patch, PatchFootprint, Plane, SurfacePoint, Suspect,
+    Ambiguity, Decision, Fit, Gap, Hypothesis, JointSearch, Patch, PatchFootprint, Plane, Shape, SurfacePoint, Suspect,
 };
 
 /// Paths drawn at most.
@@ -96,6 +96,8 @@ pub struct Scene {
     pub surface: Vec<SurfacePoint>,
     /// How many of these there are.
     pub surface_points: usize,
+    /// What they lie on.
+    pub shapes: Vec<Shape>,
     /// Factor by which ellipsoids are drawn larger.
     pub ellipsoid_factor: f64,
 }
@@ -131,7 +133,7 @@ impl Scene {
         let (hidden, seen): (Vec<Ray>, Vec<Ray>) = all.into_iter().partition(|ray| ray.is_hidden);
         let mut rays = chosen(hidden);
         rays.extend(chosen(seen));
-        let surface: Vec<SurfacePoint> = sources.rows(|_: &SurfacePoint| true)?;
+        let surface: Vec<SurfacePoint> = sources.last_rows(|_: &SurfacePoint| true)?;
         Ok(Some(Self {
             heading,
             ellipsoid_factor: ellipsoid_factor(&patches, &anchors),
@@ -151,6 +153,7 @@ impl Scene {
             footprints: sources.rows(|_: &PatchFootprint| true)?,
             walls: sources.last_rows(|place: &Hypothesis| &*place.kind == "plane" && place.alternative == 0)?,
             surface_points: surface.len(),
+            shapes: sources.rows(|_: &Shape| true)?,
             surface: spread(&surface, SURFACE_POINTS),
             patches,
         }))

@@ -57,7 +57,7 @@ use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
     Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint,
-    Plane, SceneOdds, SurfacePoint,
+    Plane, SceneOdds, Shape, SurfacePoint,
 };
 
 /// Bounces of the last light that all rooms show.
@@ -87,11 +87,13 @@ pub struct Context {
     images: Vec<Image>,
     /// Of `first_returns`; `None` where it did not run.
     surface: Option<Vec<SurfacePoint>>,
+    /// Of `shape`; `None` where it did not run.
+    shapes: Option<Vec<Shape>>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -106,6 +108,7 @@ impl Stage for Conclude {
         Beside { name: "searches", table: "searches", required: false },
         Beside { name: "images", table: "images", required: false },
         Beside { name: "surface", table: "surface_points", required: false },
+        Beside { name: "shapes", table: "shapes", required: false },
     ];
     type Input = Patch;
     type Output = Decision;
@@ -135,6 +138,7 @@ impl Stage for Conclude {
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
             surface: beside.rows("surface")?,
+            shapes: beside.rows("shapes")?,
         })
     }
 }
@@ -146,7 +150,8 @@ impl Apply for Conclude {
             return Ok(Outcome::rows(Vec::new()));
         }
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
-        let mut decisions = relay_wall::decisions(&context.searches, &context.images, context.surface.as_deref());
+        let surface = context.surface.as_deref().map(|points| (points, context.shapes.as_deref()));
+        let mut decisions = relay_wall::decisions(&context.searches, &context.images, surface);
         if context.is_from_onsets {
             decisions.extend(context.onset_decisions(&best));
         }

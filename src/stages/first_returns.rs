@@ -87,7 +87,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -324,5 +324,11 @@ fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> Surface
         curvature_min_per_m: point.curvatures_per_m.map(|[_, least]| least),
         wall_points: point.places as i32,
         misfit: point.misfit,
+        light_m: point.light.length_m,
+        light_sd_m: point.light.sd_m,
+        light_law_sd_m: point.light.law_m,
+        light_zone_m: point.light.zone_m,
+        light_common_sd_m: point.light.common_m,
+        shape: None,
     }
 }

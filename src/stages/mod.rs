@@ -23,6 +23,7 @@ pub mod recalibrate;
 pub mod refine;
 pub mod reflect;
 pub mod search;
+pub mod shape;
 pub mod source;
 pub mod stage;
 pub mod surface;
@@ -109,7 +110,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 25] = [
+pub const KINDS: [&str; 26] = [
     "ingest",
     "ingest_pulses",
     "anchor",
@@ -131,6 +132,7 @@ pub const KINDS: [&str; 25] = [
     "image",
     "locate",
     "first_returns",
+    "shape",
     "surface",
     "triangulate",
     "conclude",
@@ -175,6 +177,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "image" => operator::<image::MakeImage>(params),
         "locate" => operator::<locate::Locate>(params),
         "first_returns" => operator::<first_returns::FirstReturns>(params),
+        "shape" => operator::<shape::FitShapes>(params),
         "surface" => operator::<surface::Surface>(params),
         "triangulate" => operator::<triangulate::Triangulate>(params),
         "conclude" => operator::<conclude::Conclude>(params),

@@ -27,6 +27,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "volumes" => &["grid_row"],
         "searches" => &["verdict"],
         "surface_points" => &["lit", "seen"],
+        "shapes" => &["shape"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" | "scenes" => &["alternative"],

@@ -22,6 +22,7 @@ pub mod row;
 pub mod scenes;
 pub mod searches;
 pub mod session;
+pub mod shapes;
 pub mod solution;
 pub mod stir;
 pub mod subtotals;
@@ -53,6 +54,7 @@ pub use row::{Row, SchemaError};
 pub use scenes::SceneOdds;
 pub use searches::JointSearch;
 pub use session::Session;
+pub use shapes::Shape;
 pub use solution::{Ambiguity, Delay, Fit, ONSET_KINDS, Residual, Station, Suspect};
 pub use stir::{Impulse, ImpulsePair, Stir};
 pub use subtotals::Subtotal;
@@ -91,6 +93,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<VolumeRow>(),
         of::<JointSearch>(),
         of::<SurfacePoint>(),
+        of::<Shape>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

@@ -59,5 +59,18 @@ table! {
         wall_points: i32,
         /// Chi-square of their first returns over its degrees of freedom.
         misfit: f64,
+        /// Length of first light under the law that edges nearby set: half of its way there and back; of a lit point
+        /// apart, its way from there over the surface.
+        light_m: f64,
+        /// Standard deviation of its noise.
+        light_sd_m: f64,
+        /// Standard deviation of the error of that law, a smooth random function over the wall.
+        light_law_sd_m: f64,
+        /// Length on the wall over which the correlation of that error falls as a Gaussian.
+        light_zone_m: f64,
+        /// Standard deviation of the error that all first light of a scan has in common.
+        light_common_sd_m: f64,
+        /// Shape of `shapes` that says the point; null where none does, and before `shape`.
+        shape: Option<i32>,
     }
 }

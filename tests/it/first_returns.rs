@@ -8,7 +8,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use periscope::store::Shelf;
-use periscope::tables::{Patch, Row, SurfacePoint};
+use periscope::tables::{Patch, Row, Shape, SurfacePoint};
 
 use crate::relay_scene::{Capture, FWHM_PS, periscope, response};
 
@@ -203,14 +203,33 @@ pub struct Tally {
     pub angles_rad: Vec<f64>,
 }
 
-/// A campaign from its files to its points, by their true kinds: smooth, edge, corner.
-pub fn tallies(thing: &Thing, capture: &Capture, photons: f64) -> [Tally; 3] {
+/// What came of a campaign, by the true kinds of points: smooth, edge, corner.
+pub struct Results {
+    /// Points of `first_returns`.
+    pub points: [Tally; 3],
+    /// Points that lie on a shape, as it says them.
+    pub on_shapes: [Tally; 3],
+    pub shapes: Vec<Shape>,
+}
+
+/// A campaign from its files to its points.
+pub fn results(thing: &Thing, capture: &Capture, photons: f64) -> Results {
     let folder = tempfile::tempdir().unwrap();
     convert(folder.path(), thing, capture, photons);
     periscope(folder.path(), &["run", "first-returns", "--campaign", "campaign", "--out", "out", "--threads", "2"]);
     let anchors: Vec<Patch> = rows(folder.path(), "out", "anchors");
+    let mut on_shapes: Vec<SurfacePoint> = rows(folder.path(), "out", "shapes.points");
+    on_shapes.retain(|point| point.shape.is_some());
+    Results {
+        points: tallies(thing, &anchors, &rows(folder.path(), "out", "surface")),
+        on_shapes: tallies(thing, &anchors, &on_shapes),
+        shapes: rows(folder.path(), "out", "shapes"),
+    }
+}
+
+fn tallies(thing: &Thing, anchors: &[Patch], points: &[SurfacePoint]) -> [Tally; 3] {
     let mut tallies: [Tally; 3] = Default::default();
-    for point in rows::<SurfacePoint>(folder.path(), "out", "surface") {
+    for point in points {
         let anchor = anchors.iter().find(|anchor| anchor.patch == point.seen).unwrap();
         let seen = Point::new(anchor.x_m, anchor.y_m, anchor.z_m);
         let place = Point::new(point.x_m, point.y_m, point.z_m);
@@ -262,21 +281,31 @@ pub fn median(values: &[f64]) -> f64 {
 
 #[test]
 fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
-    let [smooth, ..] = tallies(&thing("sphere", 1), &capture(32, 1), 3000.0);
+    let sphere = results(&thing("sphere", 1), &capture(32, 1), 3000.0);
+    let [smooth, ..] = sphere.points;
     println!("sphere: {} of {}, {} m", smooth.held, smooth.points, median(&smooth.errors_m));
     assert!(smooth.points > 900 && smooth.held * 100 > 90 * smooth.points);
     assert!(median(&smooth.errors_m) < 3e-3 && median(&smooth.angles_rad) < 0.01);
-    let plate = tallies(&thing("plate", 1), &capture(32, 1), 3000.0);
+    let [shape] = sphere.shapes.as_slice() else { panic!("{:?}", sphere.shapes) };
+    let [radius_m, sd_m] = [shape.radius_m, shape.radius_sd_m].map(Option::unwrap);
+    assert!(*shape.kind == *"sphere" && (radius_m - 0.2).abs() < 3.0 * sd_m && sd_m < 3e-3, "{shape:?}");
+    let Results { points: plate, on_shapes, shapes } = results(&thing("plate", 1), &capture(32, 1), 3000.0);
     let [points, held] = [plate.iter().map(|one| one.points).sum::<usize>(), plate.iter().map(|one| one.held).sum()];
     println!("plate: {held} of {points}, {:?} m", plate.each_ref().map(|one| median(&one.errors_m)));
     assert!(points > 700 && held * 100 > 90 * points);
     assert!(plate.iter().all(|one| median(&one.errors_m) < 3e-3));
+    let planes = shapes.iter().filter(|shape| &*shape.kind == "plane").count();
+    let [points, held] =
+        [on_shapes.iter().map(|one| one.points).sum::<usize>(), on_shapes.iter().map(|one| one.held).sum()];
+    println!("on shapes: {held} of {points}, {:?} m", on_shapes.each_ref().map(|one| median(&one.errors_m)));
+    assert!(planes == 1 && points > 400 && held * 100 > 90 * points, "{shapes:?}");
 }
 
 /// Lengths to a wave are nearly those to flat faces with a larger error of their law.
 #[test]
 fn a_wavy_surface_is_no_flat_face() {
-    let wavy = tallies(&thing("wavy", 2000), &capture(32, 2000), 3000.0);
+    let Results { points: wavy, shapes, .. } = results(&thing("wavy", 2000), &capture(32, 2000), 3000.0);
+    assert!(shapes.iter().all(|shape| !matches!(&*shape.kind, "plane" | "sphere" | "cylinder")), "{shapes:?}");
     let [points, held] = [wavy.iter().map(|one| one.points).sum::<usize>(), wavy.iter().map(|one| one.held).sum()];
     println!("wavy: {held} of {points}, {:?} m", wavy.each_ref().map(|one| median(&one.errors_m)));
     assert!(points > 700 && held * 100 > 90 * points);
@@ -289,9 +318,10 @@ fn one_thread_and_two_give_the_same_points() {
     let [one, two] = ["1", "2"].map(|threads| {
         let run = ["run", "first-returns", "--campaign", "campaign", "--out", threads, "--threads", threads];
         periscope(folder.path(), &run);
-        rows::<SurfacePoint>(folder.path(), threads, "surface")
+        let shapes: Vec<Shape> = rows(folder.path(), threads, "shapes");
+        (rows::<SurfacePoint>(folder.path(), threads, "shapes.points"), shapes)
     });
-    assert!(one.len() > 200 && one == two, "{} and {} points", one.len(), two.len());
+    assert!(one.0.len() > 200 && one == two, "{} and {} points", one.0.len(), two.0.len());
 }
 
 /// What the study holds points against: the nearest point of a thing is as far off as its nearest facet.

@@ -6,7 +6,7 @@ use super::field::{Field, Kind};
 use super::flat::Flat;
 use super::local::{Local, Sample};
 use super::windows::{Chosen, Reading};
-use super::{Scan, SurfacePoint};
+use super::{FirstLight, Scan, SurfacePoint};
 
 /// Power of a likelihood that counts: errors of the law are common to neighbours.
 const TEMPER: f64 = 0.3;
@@ -21,10 +21,11 @@ pub struct Choice<'a> {
     pub bent: Option<&'a Chosen<Field>>,
     pub flat: Option<&'a Chosen<Flat>>,
     pub share: f64,
+    samples: &'a [Sample],
 }
 
 impl<'a> Choice<'a> {
-    pub fn new(bent: Option<&'a Chosen<Field>>, flat: Option<&'a Chosen<Flat>>, samples: [&[Sample]; 2]) -> Self {
+    pub fn new(bent: Option<&'a Chosen<Field>>, flat: Option<&'a Chosen<Flat>>, samples: [&'a [Sample]; 2]) -> Self {
         let share = match (bent, flat) {
             (Some(bent), Some(flat)) => {
                 // The larger window tells: a wrong model explains a small one too.
@@ -36,7 +37,7 @@ impl<'a> Choice<'a> {
             (None, Some(_)) => 1.0,
             (_, None) => 0.0,
         };
-        Self { bent, flat, share }
+        Self { bent, flat, share, samples: samples[1] }
     }
 
     /// The point of the surface; `None` where nothing explains the place.
@@ -65,8 +66,11 @@ impl<'a> Choice<'a> {
             let distance_m = bent.field.distance_m(None);
             bent.field.bends(None).map(|[bend, _]| bend / distance_m / (1.0 - bend))
         });
+        let Sample { length_m, sd_m, law_m, .. } = self.samples[place];
+        let common_m = common_m[0] * (1.0 - self.share) + common_m[1] * self.share;
         Some(SurfacePoint {
             place,
+            light: FirstLight { length_m, sd_m, law_m, zone_m: scan.zone_m(length_m), common_m },
             point: point.into(),
             covariance_m2,
             normal: away.try_normalize(0.5).unwrap_or(most.away),

@@ -172,7 +172,7 @@ proptest! {
     #[test]
     fn neighbours_are_the_nearest(points in prop::collection::vec((-1.0..1.0, -0.3..0.3, -0.1..0.1), 30..80)) {
         let points: Vec<Point> = points.into_iter().map(|(x, y, z)| Point::new(x, y, z)).collect();
-        let lists = windows::neighbours(&points, 7, &Cancel::never());
+        let lists = neighbours(&points, 7, &Cancel::never());
         for (n, list) in lists.iter().enumerate() {
             let mut naive: Vec<(f64, u32)> =
                 points.iter().zip(0..).map(|(point, k)| ((point - points[n]).norm_squared(), k)).collect();
@@ -204,7 +204,7 @@ fn plates_and_blocks_are_found_to_their_corners() {
 #[test]
 fn residuals_show_how_large_a_smooth_error_is() {
     let wall = wall(12, |_, _| 0.0);
-    let near = windows::neighbours(&wall, 20, &Cancel::never());
+    let near = neighbours(&wall, 20, &Cancel::never());
     let members: Vec<u32> = (0..wall.len() as u32).collect();
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let (zone_m, sd_m) = (0.15_f64, 1e-3);

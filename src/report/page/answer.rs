@@ -28,6 +28,7 @@ pub fn section(report: &Report) -> Markup {
             (open_questions(scene))
             (positions(scene))
             (planes(scene))
+            (shapes(scene))
             (gaps(scene))
         }
     }
@@ -146,6 +147,34 @@ fn planes(scene: &Scene) -> Markup {
                                 td { (metres(plane.offset_m)) }
                                 td { (sig(1e3 * plane.normal_sd_rad, 3)) }
                                 td { (sig(1e3 * plane.rms_m, 3)) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn shapes(scene: &Scene) -> Markup {
+    html! {
+        @if !scene.shapes.is_empty() {
+            h3 { "What points of the surface lie on" }
+            div.scroll tabindex="0" role="region" aria-label="shapes" {
+                table.numbers {
+                    thead { tr { th { "shape" } th.text { "kind" } th { "at (m)" } th { "sd (mm)" } th { "normal or direction" } th { "its sd (mrad)" } th { "radius (mm)" } th { "points of the wall" } th { "chi-square / dof" } } }
+                    tbody {
+                        @for shape in &scene.shapes {
+                            tr {
+                                td { (shape.shape) }
+                                td.text { (shape.kind) }
+                                td { (format!("({:.4}, {:.4}, {:.4})", shape.x_m, shape.y_m, shape.z_m)) }
+                                td { (sig(1e3 * shape.sd_m, 3)) }
+                                td { @if let (Some(x), Some(y), Some(z)) = (shape.axis_x, shape.axis_y, shape.axis_z) { (format!("({x:.4}, {y:.4}, {z:.4})")) } }
+                                td { @if let Some(sd_rad) = shape.axis_sd_rad { (sig(1e3 * sd_rad, 3)) } }
+                                td { @if let (Some(radius_m), Some(sd_m)) = (shape.radius_m, shape.radius_sd_m) { (format!("{:.2} ± {:.2}", 1e3 * radius_m, 1e3 * sd_m)) } }
+                                td { (shape.wall_points) }
+                                td { (sig(shape.misfit, 2)) }
                             }
                         }
                     }

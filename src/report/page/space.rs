@@ -207,8 +207,9 @@ fn surface(points: &[SurfacePoint]) -> Box<dyn Trace> {
     let [x, y, z] = coordinates(points.iter().map(|point| [point.x_m, point.y_m, point.z_m]));
     let sds_mm: Vec<f64> = points.iter().map(|point| short(1e3 * point.sd_m, 3)).collect();
     let text = |point: &SurfacePoint| {
+        let shape = point.shape.map_or(String::new(), |shape| format!(" on shape {shape}"));
         format!(
-            "{} point of a surface<br>sd {}<br>chi-square / dof {}",
+            "{} point of a surface{shape}<br>sd {}<br>chi-square / dof {}",
             point.kind,
             millimetres(point.sd_m),
             sig(point.misfit, 2)

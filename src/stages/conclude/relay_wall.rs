@@ -1,13 +1,23 @@
 //! What a relay wall shows: the verdict of `locate`, and the image beside it.
 
 use super::decision;
-use crate::tables::{Decision, Image, JointSearch, SurfacePoint};
+use crate::tables::{Decision, Image, JointSearch, Shape, SurfacePoint};
+
+/// Shapes that are named one by one.
+const NAMED: usize = 6;
 
 /// The verdict, the surface, the image, and what these rest on.
-pub(super) fn decisions(searches: &[JointSearch], images: &[Image], points: Option<&[SurfacePoint]>) -> Vec<Decision> {
+pub(super) fn decisions(
+    searches: &[JointSearch],
+    images: &[Image],
+    surface: Option<(&[SurfacePoint], Option<&[Shape]>)>,
+) -> Vec<Decision> {
     let mut decisions: Vec<Decision> = searches.iter().map(verdict).collect();
     let is_extended = searches.iter().any(|search| &*search.verdict == "extended-object");
-    decisions.extend(points.filter(|_| is_extended).map(surface));
+    if let Some((points, shapes)) = surface.filter(|_| is_extended) {
+        decisions.push(points_of_surface(points));
+        decisions.extend(shapes.filter(|_| !points.is_empty()).map(|shapes| told(shapes, points.len())));
+    }
     decisions.extend(images.iter().map(image));
     decisions.extend(searches.iter().flat_map(|search| [response(search), gate(search)]));
     decisions
@@ -39,7 +49,7 @@ fn verdict(search: &JointSearch) -> Decision {
 }
 
 /// What first light says of an extended object.
-fn surface(points: &[SurfacePoint]) -> Decision {
+fn points_of_surface(points: &[SurfacePoint]) -> Decision {
     let of_kind = |kind: &str| points.iter().filter(|point| &*point.kind == kind).count();
     let mut sds_mm: Vec<f64> = points.iter().map(|point| 1e3 * point.sd_m).collect();
     sds_mm.sort_by(f64::total_cmp);
@@ -53,6 +63,35 @@ fn surface(points: &[SurfacePoint]) -> Decision {
         None => "light rises in too few histograms, or at times that no surface has".to_owned(),
     };
     decision("surface", &chosen, &evidence, "more photons, or more points of the wall")
+}
+
+/// What these points lie on.
+fn told(shapes: &[Shape], points: usize) -> Decision {
+    let named = shapes.iter().take(NAMED).map(|shape| match (shape.radius_m, shape.radius_sd_m) {
+        (Some(radius_m), Some(sd_m)) => {
+            format!("{} of radius {:.1} ± {:.1} mm", shape.kind, 1e3 * radius_m, 1e3 * sd_m)
+        }
+        _ => shape.kind.to_string(),
+    });
+    let more = shapes.len().saturating_sub(NAMED);
+    let named = named.chain((more > 0).then(|| format!("{more} more"))).collect::<Vec<_>>().join(", ");
+    let on_shapes: i32 = shapes.iter().map(|shape| shape.wall_points).sum();
+    if shapes.is_empty() {
+        let evidence =
+            "no plane, sphere, cylinder, straight edge or corner is sure: other kinds or bent surfaces are as likely";
+        return decision(
+            "shapes",
+            "none; the points stand for themselves",
+            evidence,
+            "more photons, or more points of the wall",
+        );
+    }
+    decision(
+        "shapes",
+        &format!("{named}, in `shapes`"),
+        &format!("{on_shapes} of {points} points lie on them; each kind is 20 times likelier than any other, or more"),
+        "a bent surface that differs from these by less than errors of first light",
+    )
 }
 
 /// How far the image exceeds noise.

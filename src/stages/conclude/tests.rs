@@ -127,6 +127,26 @@ fn the_surface_of_an_extended_object_follows_its_verdict() {
     assert_eq!(of("points", 3), None);
 }
 
+/// What points lie on is told beside them, by name and radius.
+#[test]
+fn shapes_of_a_surface_are_named() {
+    let of = |shapes: Vec<Shape>| {
+        let search = JointSearch { verdict: "extended-object".into(), ..JointSearch::default() };
+        let surface = Some(vec![SurfacePoint::default(); 90]);
+        let context = Context { searches: vec![search], surface, shapes: Some(shapes), ..Context::default() };
+        decisions(&context).into_iter().find(|row| &*row.what == "shapes").expect("a row of shapes")
+    };
+    let radius = |mm: f64| Some(1e-3 * mm);
+    let sphere = Shape { kind: "sphere".into(), radius_m: radius(200.0), radius_sd_m: radius(1.5), ..Shape::default() };
+    let corner = Shape { kind: "corner".into(), wall_points: 30, ..Shape::default() };
+    let row = of(vec![Shape { wall_points: 50, ..sphere }, corner]);
+    assert!(
+        row.chosen.starts_with("sphere of radius 200.0 ± 1.5 mm, corner") && row.evidence.contains("80 of 90"),
+        "{row:?}"
+    );
+    assert!(of(Vec::new()).chosen.starts_with("none"));
+}
+
 /// A weak patch has a row of its own and is not counted twice; less than even odds are no runner-up.
 #[test]
 fn weak_patches_stand_beside_hidden_ones() {

@@ -1,0 +1,192 @@
+//! `shape`: planes, spheres, cylinders, straight edges and corners that points of hidden surfaces lie on.
+//!
+//! Fitted are the lengths of first light ([`crate::geometry::shapes`]), with the errors that neighbours have in common.
+//! A shape is told only where it is sure: its kind is likelier than any other by a factor of 20, chi-square is one that
+//! errors allow, and no smooth departure is likelier. Slightly bent surfaces have no shape; their points stay as
+//! `first_returns` gave them.
+//!
+//! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `shapes`,
+//! and `points`: all points again, those of a shape as the shape says them. They are surer, since all that shows a shape
+//! tells each of them. Captures whose lit and seen points differ are left out.
+//!
+//! Not modelled: hollow spheres and cylinders, where planes end, errors of the wall's places.
+//!
+//! ```toml
+//! [shapes]
+//! stage = "shape"
+//! from = "surface"
+//! with = { patches = "anchors" }
+//! ```
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+
+use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
+use crate::campaign::Campaign;
+use crate::cancel::Cancel;
+use crate::geometry::Point;
+use crate::geometry::first_return::{FirstLight, Kind as Part};
+use crate::geometry::shapes::{self, Kind, Sighting};
+use crate::tables::{Patch, Row, Shape, SurfacePoint};
+use crate::units::PatchId;
+
+/// `shape` has no parameters: what is not sure is not told.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FitShapes {}
+
+/// Points of the wall.
+pub struct Context {
+    walls: BTreeMap<PatchId, Point>,
+    cancel: Cancel,
+}
+
+impl Stage for FitShapes {
+    const KIND: &'static str = "shape";
+    const VERSION: u32 = 1;
+    const GRAIN: Grain = Grain::All;
+    const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: true }];
+    const SIDES: &'static [Side] = &[Side { name: "points", schema: SurfacePoint::schema }];
+    type Input = SurfacePoint;
+    type Output = Shape;
+    type Fields = ();
+    type Context = Context;
+
+    fn fields(&self, _: &[Campaign]) {}
+
+    fn context(&self, (): (), beside: &BesideTables) -> Result<Context, StageError> {
+        let patches: Vec<Patch> = beside.rows("patches")?.unwrap_or_default();
+        let best = patches.iter().filter(|patch| patch.alternative == 0);
+        let walls = best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
+        Ok(Context { walls, cancel: beside.cancel.clone() })
+    }
+}
+
+impl Apply for FitShapes {
+    fn apply(&self, context: &Context, mut group: Vec<SurfacePoint>) -> Result<Outcome<Shape>, StageError> {
+        let sighted: Vec<(usize, Sighting)> =
+            group.iter().enumerate().filter_map(|(n, point)| Some((n, sighting(point, &context.walls)?))).collect();
+        let sightings: Vec<Sighting> = sighted.iter().map(|(_, sighting)| *sighting).collect();
+        let shapes = shapes::shapes(&sightings, &context.cancel);
+        for (number, shape) in shapes.iter().enumerate() {
+            for member in &shape.members {
+                let (place, sighting) = &sighted[*member];
+                group[*place] = on_shape(&group[*place], number as i32 + 1, shape, &sighting.seen);
+            }
+        }
+        let rows = shapes.iter().enumerate().map(|(number, shape)| row(number as i32 + 1, shape)).collect();
+        Ok(Outcome { rows, sides: vec![SurfacePoint::to_batch(&group)], rejections: Vec::new() })
+    }
+}
+
+/// First light at a point of the wall; `None` where it is not lit itself, or has no place.
+fn sighting(point: &SurfacePoint, walls: &BTreeMap<PatchId, Point>) -> Option<Sighting> {
+    let seen = *walls.get(&point.seen).filter(|_| point.lit == point.seen)?;
+    let light = FirstLight {
+        length_m: point.light_m,
+        sd_m: point.light_sd_m,
+        law_m: point.light_law_sd_m,
+        zone_m: point.light_zone_m,
+        common_m: point.light_common_sd_m,
+    };
+    let [xx, xy, xz] = [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2];
+    let [yy, yz, zz] = [point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2];
+    let part = match &*point.kind {
+        "smooth" => Part::Smooth,
+        "edge" => Part::Edge,
+        "corner" => Part::Corner,
+        _ => Part::Unknown,
+    };
+    let covariance_m2 = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+    Some(Sighting { seen, light, point: Point::new(point.x_m, point.y_m, point.z_m), covariance_m2, part })
+}
+
+/// A point as its shape says it.
+fn on_shape(point: &SurfacePoint, number: i32, shape: &shapes::Shape, seen: &Point) -> SurfacePoint {
+    let foot = shape.foot(seen);
+    let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&foot.covariance_m2);
+    let [normal_cov_xx, normal_cov_xy, normal_cov_xz, normal_cov_yy, normal_cov_yz, normal_cov_zz] =
+        upper(&foot.away_covariance);
+    let bend = shape.radius_m().map(|[radius_m, _]| 1.0 / radius_m);
+    let (kind, curvatures) = match shape.kind() {
+        Kind::Plane => ("smooth", [Some(0.0); 2]),
+        Kind::Sphere => ("smooth", [bend; 2]),
+        Kind::Cylinder => ("smooth", [bend, Some(0.0)]),
+        Kind::Edge => ("edge", [None; 2]),
+        Kind::Corner => ("corner", [None; 2]),
+    };
+    SurfacePoint {
+        x_m: foot.point.x,
+        y_m: foot.point.y,
+        z_m: foot.point.z,
+        cov_xx_m2,
+        cov_xy_m2,
+        cov_xz_m2,
+        cov_yy_m2,
+        cov_yz_m2,
+        cov_zz_m2,
+        sd_m: foot.covariance_m2.trace().sqrt(),
+        normal_x: foot.away.x,
+        normal_y: foot.away.y,
+        normal_z: foot.away.z,
+        normal_cov_xx,
+        normal_cov_xy,
+        normal_cov_xz,
+        normal_cov_yy,
+        normal_cov_yz,
+        normal_cov_zz,
+        kind: kind.into(),
+        curvature_max_per_m: curvatures[0],
+        curvature_min_per_m: curvatures[1],
+        wall_points: shape.members.len() as i32,
+        misfit: shape.misfit,
+        shape: Some(number),
+        ..point.clone()
+    }
+}
+
+fn row(number: i32, shape: &shapes::Shape) -> Shape {
+    let [at_m2, axis] = shape.covariances();
+    let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&at_m2);
+    let kind = match shape.kind() {
+        Kind::Plane => "plane",
+        Kind::Sphere => "sphere",
+        Kind::Cylinder => "cylinder",
+        Kind::Edge => "edge",
+        Kind::Corner => "corner",
+    };
+    let [x, y, z] = [0, 1, 2].map(|k| shape.axis().map(|axis| axis[k]));
+    Shape {
+        shape: number,
+        kind: kind.into(),
+        x_m: shape.at().x,
+        y_m: shape.at().y,
+        z_m: shape.at().z,
+        cov_xx_m2,
+        cov_xy_m2,
+        cov_xz_m2,
+        cov_yy_m2,
+        cov_yz_m2,
+        cov_zz_m2,
+        sd_m: at_m2.trace().sqrt(),
+        axis_x: x,
+        axis_y: y,
+        axis_z: z,
+        axis_sd_rad: shape.axis().map(|_| axis.symmetric_eigenvalues().max().max(0.0).sqrt()),
+        radius_m: shape.radius_m().map(|[radius_m, _]| radius_m),
+        radius_sd_m: shape.radius_m().map(|[_, sd_m]| sd_m),
+        wall_points: shape.members.len() as i32,
+        evidence: shape.evidence,
+        misfit: shape.misfit,
+        rms_m: shape.rms_m,
+    }
+}
+
+fn upper(matrix: &Matrix3<f64>) -> [f64; 6] {
+    [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|place: (usize, usize)| matrix[place])
+}
