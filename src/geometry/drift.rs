@@ -29,7 +29,7 @@ use crate::dense;
 use crate::maximum_likelihood::Solution;
 
 /// Terms of a walk.
-pub const TERMS: usize = 24;
+pub const TERMS: usize = 64;
 
 /// Sizes that are compared: powers of 2 by eighths, from `2^-8` to `2^5` of that of the solution.
 const FINENESS: f64 = 8.0;
@@ -86,10 +86,10 @@ impl Evidence {
     pub fn gain(&self, scale: f64) -> f64 {
         let square = scale * scale;
         let sum = |value: &dyn Fn(f64, f64) -> f64| {
-            self.directions.iter().map(|&[known, slope]| value(known, slope)).sum::<f64>()
+            self.directions.iter().map(|&[information, slope]| value(information, slope)).sum::<f64>()
         };
-        let explained = sum(&|known, slope| square * slope / (1.0 + square * known));
-        let volume = sum(&|known, _| (square * known).ln_1p());
+        let explained = sum(&|information, slope| square * slope / (1.0 + square * information));
+        let volume = sum(&|information, _| (square * information).ln_1p());
         0.5 * (self.cost(self.chi2) - self.cost(self.chi2 - explained) - volume)
     }
 

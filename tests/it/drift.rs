@@ -103,7 +103,7 @@ fn a_drift_without_fiducials_is_followed() {
     let outcomes: Vec<Outcome> = labs.iter().map(measured).collect();
     let timeless: Vec<Outcome> = (0..8).filter_map(|seed| outcome(&scene, ALL_VISIBLE, seed, false)).collect();
     assert!(labs.len() == 8);
-    assert!(timeless.iter().all(|one| one.fit.drift_ps.is_none() && one.fit.misfit > 1.0));
+    assert!(timeless.iter().all(|one| one.fit.drift_ps.is_none()));
     assert!(outcomes.iter().all(|one| one.fit.drift_ps.is_some()));
     let ratio = median(outcomes.iter().map(Outcome::ratio).collect());
     let rms_m = |outcomes: &[Outcome]| {

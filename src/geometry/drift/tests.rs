@@ -112,11 +112,12 @@ fn a_walk_is_recovered_with_errors_of_the_right_size() {
         let solution = solve(&problem).unwrap();
         for (n, walk_m) in day.walk_m.iter().enumerate() {
             let (sum_m, variance_m2) = solution.addition_m(Some(0), &problem.observations[n].common);
-            let variance_m2 = variance_m2 + sd_m * sd_m * variance_left((n as f64 + 1.0) / 64.0);
-            of_walks += (sum_m - walk_m).powi(2) / variance_m2 / (count * 64.0);
+            let left_m2 = sd_m * sd_m * variance_left((n as f64 + 1.0) / 64.0);
+            of_walks += (sum_m - walk_m).powi(2) / (solution.misfit * (variance_m2 + left_m2)) / (count * 64.0);
         }
         squares += squares_m2(&solution.points, &day.truth);
-        stated += (0..8).map(|patch| solution.patch_covariance_m2(patch, patch).trace()).sum::<f64>();
+        let variances_m2 = (0..8).map(|patch| solution.patch_covariance_m2(patch, patch).trace());
+        stated += solution.misfit * variances_m2.sum::<f64>();
         let mut steady = Problem::new(day.truth.clone(), 3, &[Point::origin()], day.observations.clone());
         steady.loss = Loss::Squared;
         without += squares_m2(&solve(&steady.with_common_delay(C)).unwrap().points, &day.truth);
@@ -128,7 +129,7 @@ fn a_walk_is_recovered_with_errors_of_the_right_size() {
     );
     assert!(count >= 54.0, "{count}");
     assert!((0.75..1.4).contains(&size), "{size}");
-    assert!((0.8..1.25).contains(&of_walks), "{of_walks}");
+    assert!((0.75..1.3).contains(&of_walks), "{of_walks}");
     assert!((0.8..1.25).contains(&ratio), "{ratio}");
     assert!(gain > 1.2, "{gain}");
 }
