@@ -8,9 +8,9 @@
 //! (`-- small-rooms 60 5000 30`: seeds from 5000 on, only with 30 % missing); `-- sizes 20` for patches of centimetres
 //! whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall (`-- locate 100 5000 14 15`:
 //! cells 14 and 15 of the table alone); `-- claims 200 3000` for instruments that are not kind, 200 records a cell
-//! (docs/error-bars.md; `-- claims 200 3000 7 8`: cells 7 and 8 alone); `-- drift 40 1000` for delays that drift through
-//! a day without fiducials (`-- drift 40 1000 2 3`: cells 2 and 3 alone); `-- twins 300` for tables b, d, e and f of
-//! docs/time-resolution.md through `run`.
+//! (docs/error-bars.md; `-- claims 200 3000 7 8`: cells 7 and 8 alone); `-- drift 40 1000` for delays that drift
+//! through a day without fiducials (`-- drift 40 1000 2 3`: cells 2 and 3 alone); `-- twins 300` for tables b, d,
+//! e and f of docs/time-resolution.md through `run`.
 
 #[path = "../tests/it/claims.rs"]
 mod claims;
@@ -71,6 +71,7 @@ const CHOICES: [Choice; 3] = [Choice::Wide, Choice::Points, Choice::Readings];
 fn main() {
     let numbers: Vec<u64> = std::env::args().skip(1).filter_map(|arg| arg.parse().ok()).collect();
     let seeds = numbers.first().copied().unwrap_or(200);
+    let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
     if std::env::args().any(|arg| arg == "rectangles") {
         return print_rectangles(&rectangles::study(rectangles::SCENE, 1000..1000 + seeds));
     }
@@ -82,17 +83,14 @@ fn main() {
     }
     if std::env::args().any(|arg| arg == "claims") {
         let first = numbers.get(1).copied().unwrap_or(3000);
-        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
         return print_claims(seeds as usize, first, &cells);
     }
     if std::env::args().any(|arg| arg == "drift") {
         let first = numbers.get(1).copied().unwrap_or(1000);
-        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
         return print_drift(first..first + seeds, &cells);
     }
     if std::env::args().any(|arg| arg == "locate") {
         let first = numbers.get(1).copied().unwrap_or(1000);
-        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
         return print_locate(first..first + seeds, &cells);
     }
     if std::env::args().any(|arg| arg == "small-rooms") {
@@ -102,7 +100,6 @@ fn main() {
     if std::env::args().any(|arg| arg == "readings") {
         let is_one = std::env::args().any(|arg| arg == "one");
         let first = numbers.get(1).copied().unwrap_or(1000);
-        let cells: Vec<usize> = numbers.iter().skip(2).map(|cell| *cell as usize).collect();
         return print_readings(first..first + seeds, if is_one { &[Choice::Readings] } else { &CHOICES }, &cells);
     }
     if std::env::args().any(|arg| arg == "corner") {

@@ -126,8 +126,8 @@ impl Delays {
         self.0[key].sd_ps
     }
 
-    /// Delay of an onset, label or profile that was captured at a time, and its standard deviation; zeros where there is
-    /// none.
+    /// Delay of an onset, label or profile that was captured at a time, and its standard deviation; zeros where there
+    /// is none.
     pub fn delay_ps(&self, of: &impl OfSensorRange, acquired_at: Option<&str>) -> (f64, f64) {
         let Some(SolvedDelay { delay_ps, sd_ps, drift }) = self.key_of(of).map(|key| &self.0[key]) else {
             return (0.0, 0.0);

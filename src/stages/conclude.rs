@@ -223,9 +223,7 @@ impl Context {
             ..decision(
                 "drift of the delays",
                 &format!("times drift by {drift_ps:.1} ps within {hours:.1} h"),
-                &format!(
-                    "onsets that check one another: log-likelihood ratio {evidence:.1} against larger errors of all onsets"
-                ),
+                &format!("onsets check one another: log-likelihood ratio {evidence:.1} against larger errors of all"),
                 "fiducial captures through the session, which measure the drift",
             )
         })

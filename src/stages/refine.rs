@@ -34,8 +34,9 @@
 //!
 //! Delays may drift while the captures are taken, and no fiducial be there to follow them. Where residuals are larger
 //! than chance allows, and the onsets have the times of their captures (`acquired_at`), each sensor's delay is a random
-//! walk ([`crate::geometry::drift`]), if that is likelier by `e^7` than larger errors of all onsets. The likelihood says
-//! how far it walks. `delays` has it at knots, with standard deviations, so that later stages take it off too.
+//! walk ([`crate::geometry::drift`]), if that is likelier by `e^7` than larger errors of all onsets. How far it walks
+//! follows from the likelihood. `delays` has it at knots, with standard deviations, so that later stages take it off
+//! too.
 //!
 //! Where residuals are larger than chance allows (the 99.9 % point of chi-square, each residual cut at three standard
 //! deviations), the model does not explain the onsets. Onsets of a kind that scatters more than it should (first,

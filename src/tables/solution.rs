@@ -153,8 +153,8 @@ table! {
         /// Factors on the variances of first, second and later bounces, and of onsets read as two, where the median
         /// residual of these is larger than chance allows; else 1.
         widened: Vec<f64>,
-        /// Largest change of a sensor's delay between two of its captures, where the onsets show that delays drift; else
-        /// null.
+        /// Largest change of a sensor's delay between two of its captures, where the onsets show that delays drift;
+        /// else null.
         drift_ps: Option<f64>,
         /// Longest time between the first and the last capture of a sensor whose delay drifts, in seconds.
         drift_span_s: Option<f64>,
