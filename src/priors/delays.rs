@@ -156,7 +156,7 @@ mod tests {
             ..Delay::default()
         };
         let key = row.sensor_range();
-        let delays = Delays::new(&[row.clone()]);
+        let delays = Delays::new(std::slice::from_ref(&row));
         assert_eq!(delays.delay_ps(&key, Some("2026-05-12T09:30:00")), (5.0, 1.5));
         assert_eq!(delays.delay_ps(&key, Some("2026-05-12T11:00:00")), (5.0, 3.0));
         assert_eq!(delays.delay_ps(&key, None), (5.0, 13.0_f64.sqrt()));

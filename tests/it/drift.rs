@@ -126,10 +126,12 @@ fn a_drift_without_fiducials_is_followed() {
         let delay = lab.rows::<Delay>("out", "patches.delays").remove(0);
         let (knots_ps, sds_ps) = (delay.drift_ps.unwrap(), delay.drift_sd_ps.unwrap());
         let scenes: Vec<TrueCapture> = lab.truth::<TrueCapture>().into_iter().filter(|row| row.lit > 0).collect();
-        // A capture near each knot; latencies are relative to that of the response, which all share.
+        // A capture near each knot, within a step of the walk from one to the next; latencies are relative to that of
+        // the response, which all share.
+        let step_ps = 20.0 / 12.0;
         for (knot, (value_ps, sd_ps)) in knots_ps.iter().zip(&sds_ps).enumerate() {
             let capture = &scenes[(knot * (scenes.len() - 1)) / (knots_ps.len() - 1)];
-            pulls.push((delay.delay_ps + value_ps - (capture.latency_ps - 1250.0)) / sd_ps);
+            pulls.push((delay.delay_ps + value_ps - (capture.latency_ps - 1250.0)) / f64::hypot(*sd_ps, step_ps));
         }
     }
     let rms = (pulls.iter().map(|pull| pull * pull).sum::<f64>() / pulls.len() as f64).sqrt();
