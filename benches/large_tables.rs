@@ -122,6 +122,7 @@ fn labels(campaign: &str, pair: [i32; 2]) -> Vec<Label> {
             lit: onset.lit,
             seen: onset.seen,
             range: onset.range,
+            acquired_at: onset.acquired_at,
             rank: onset.rank,
             part: 0,
             time_ps: onset.time_ps,

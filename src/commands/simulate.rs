@@ -57,7 +57,7 @@ const KEYS: &str = r#"Keys of a scene (optional ones in brackets):
                   [load_ohm 50, dark_a, bits 8, noise_bandwidth_ghz, rate_hz, reference = { fwhm_ps, height_v }]
   [instrument.ranges.NAME]  full_scale_v, noise_v [latency_ps]
   [instrument.counts]       efficiency [dark_hz, dead_time_ps]: for sensors that count photons
-  [instrument.flaws]        [saturation_v, slew_ps, cubic, interleave, pickup, echo, tail, recovery, delay_ps_per_h, delay_sd_ps]
+  [instrument.flaws]        [saturation_v, slew_ps, cubic, interleave, pickup, echo, tail, recovery, delay_ps_per_h, delay_sd_ps, delay_walk_ps]
   [captures]      shots, response_shots, path_m, path_sd_m [lit, seen, bounces 2, ranges, response_od, first_bounce_od, dark_shots,
                   blocked_shots, bad_shots, lost_shots, overhead_s]
   [[captures.fiducials]]    path_m or through, shots [attenuation_od, runs, every_s]

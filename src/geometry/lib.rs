@@ -105,6 +105,7 @@ pub mod companion;
 pub mod completion;
 pub mod dense;
 pub mod detours;
+pub mod drift;
 pub mod ellipsoid;
 mod failure;
 pub mod faint;

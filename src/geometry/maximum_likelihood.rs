@@ -25,6 +25,8 @@ mod outliers;
 mod problem;
 mod rows;
 
+use std::ops::Range;
+
 use faer::Mat;
 use matrix_free::Matrix;
 use nalgebra::Matrix3;
@@ -156,11 +158,48 @@ impl Solution {
         self.layout.period.map(|at| self.variance_m2(at))
     }
 
+    /// Covariance of common errors by their numbers, in their standard deviations.
+    ///
+    /// # Panics
+    /// When there is none of one of these numbers.
+    #[must_use]
+    pub fn common_covariance(&self, errors: Range<usize>) -> Mat<f64> {
+        let first = self.layout.common + errors.start;
+        Mat::from_fn(errors.len(), errors.len(), |i, k| self.covariance_m2(first + i, first + k))
+    }
+
+    /// What a delay and common errors add to a length, and the variance of that. Errors that no observation has add
+    /// their own variance.
+    #[must_use]
+    pub fn addition_m(&self, delay: Option<usize>, common: &[(usize, f64)]) -> (f64, f64) {
+        let (of_observations, others): (Vec<_>, Vec<_>) =
+            common.iter().partition(|(error, _)| *error < self.common.len());
+        let of_delay = delay.map(|delay| (self.layout.delays + delay, 1.0));
+        let of_errors = of_observations.iter().map(|(error, each_m)| (self.layout.common + error, *each_m));
+        let terms: Vec<(usize, f64)> = of_delay.into_iter().chain(of_errors).collect();
+        let pairs = terms.iter().flat_map(|a| terms.iter().map(move |b| (a, b)));
+        let variance_m2: f64 = pairs.map(|(&(i, a), &(k, b))| a * self.covariance_m2(i, k) * b).sum();
+        let sum_m: f64 = of_observations.iter().map(|(error, each_m)| self.common[*error] * each_m).sum();
+        let delay_m = delay.map_or(0.0, |delay| self.delays_m[delay]);
+        (delay_m + sum_m, variance_m2 + others.iter().map(|(_, each_m)| each_m * each_m).sum::<f64>())
+    }
+
     fn variance_m2(&self, at: usize) -> f64 {
+        self.covariance_m2(at, at)
+    }
+
+    /// Of two unknowns that are no coordinates of patches.
+    fn covariance_m2(&self, a: usize, b: usize) -> f64 {
         match &self.covariance {
-            Covariance::Exact(covariance) => covariance[(at, at)],
-            Covariance::Blocks(_, others) => others[(at - self.layout.coordinates, at - self.layout.coordinates)],
+            Covariance::Exact(covariance) => covariance[(a, b)],
+            Covariance::Blocks(_, others) => others[(a - self.layout.coordinates, b - self.layout.coordinates)],
         }
+    }
+
+    /// Whether residuals are larger than chance makes them where the model is right.
+    #[must_use]
+    pub fn exceeds_chance(&self) -> bool {
+        self.loss > by_chance(self.degrees_of_freedom as f64)
     }
 
     /// Whether covariances are those of the whole Fisher matrix, not of its blocks.

@@ -88,7 +88,7 @@ impl<'a> Correction<'a> {
 
 /// Drift and its standard deviation `position` knots after the first. Beyond the knots the line goes on, and its error
 /// is as large as its change.
-fn at(drift_ps: &[f64], sd_ps: &[f64], position: f64) -> (f64, f64) {
+pub(super) fn at(drift_ps: &[f64], sd_ps: &[f64], position: f64) -> (f64, f64) {
     let last = drift_ps.len() - 1;
     let knot = (position.max(0.0) as usize).min(last.saturating_sub(1));
     let next = (knot + 1).min(last);

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use super::acquisition_time;
+use super::corrections;
 use super::sensor_range::{OfSensorRange, SensorRange, own_or_only};
 use crate::tables::{Calibration, Delay};
 
@@ -63,12 +65,52 @@ impl Latencies {
 
 /// Delays that an earlier solution found, beyond the calibrated latencies.
 #[derive(Debug)]
-pub struct Delays(BTreeMap<SensorRange, (f64, f64)>);
+pub struct Delays(BTreeMap<SensorRange, SolvedDelay>);
+
+#[derive(Debug)]
+struct SolvedDelay {
+    delay_ps: f64,
+    sd_ps: f64,
+    drift: Option<Drift>,
+}
+
+/// What a delay changes by through the captures, at knots.
+#[derive(Debug)]
+struct Drift {
+    from_s: f64,
+    step_s: f64,
+    values_ps: Vec<f64>,
+    /// Of delay and drift together.
+    sds_ps: Vec<f64>,
+}
+
+impl Drift {
+    fn new(row: &Delay) -> Option<Self> {
+        Some(Self {
+            from_s: acquisition_time::seconds(row.drift_from.as_deref()?)?,
+            step_s: row.drift_step_s.filter(|step_s| *step_s > 0.0)?,
+            values_ps: row.drift_ps.clone().filter(|values| !values.is_empty())?,
+            sds_ps: row.drift_sd_ps.clone().filter(|sds| Some(sds.len()) == row.drift_ps.as_ref().map(Vec::len))?,
+        })
+    }
+
+    /// At a time; at one that is not known, the middle of all, which is off by as much as the drift goes.
+    fn at(&self, time_s: Option<f64>) -> (f64, f64) {
+        if let Some(time_s) = time_s {
+            return corrections::at(&self.values_ps, &self.sds_ps, (time_s - self.from_s) / self.step_s);
+        }
+        let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let least_ps = self.values_ps.iter().copied().fold(f64::INFINITY, f64::min);
+        let most_ps = most(&self.values_ps);
+        (0.5 * (least_ps + most_ps), most(&self.sds_ps).hypot(0.5 * (most_ps - least_ps)))
+    }
+}
 
 impl Delays {
     /// From the rows of `delays`.
     pub fn new(rows: &[Delay]) -> Self {
-        Self(rows.iter().map(|row| (row.sensor_range(), (row.delay_ps, row.sd_ps))).collect())
+        let solved = |row: &Delay| SolvedDelay { delay_ps: row.delay_ps, sd_ps: row.sd_ps, drift: Drift::new(row) };
+        Self(rows.iter().map(|row| (row.sensor_range(), solved(row))).collect())
     }
 
     /// Which delay an onset or label has, see [`own_or_only`].
@@ -76,16 +118,49 @@ impl Delays {
         own_or_only(self.0.keys(), of)
     }
 
-    /// A delay and its standard deviation.
+    /// Standard deviation of a delay, which all its captures share; without its drift.
     ///
     /// # Panics
     /// When there is none of this key.
-    pub fn at(&self, key: &SensorRange) -> (f64, f64) {
-        self.0[key]
+    pub fn sd_ps(&self, key: &SensorRange) -> f64 {
+        self.0[key].sd_ps
     }
 
-    /// Delay of an onset, label or profile, and its standard deviation; zeros where there is none.
-    pub fn delay_ps(&self, of: &impl OfSensorRange) -> (f64, f64) {
-        self.key_of(of).map_or((0.0, 0.0), |key| self.at(key))
+    /// Delay of an onset, label or profile that was captured at a time, and its standard deviation; zeros where there
+    /// is none.
+    pub fn delay_ps(&self, of: &impl OfSensorRange, acquired_at: Option<&str>) -> (f64, f64) {
+        let Some(SolvedDelay { delay_ps, sd_ps, drift }) = self.key_of(of).map(|key| &self.0[key]) else {
+            return (0.0, 0.0);
+        };
+        let Some(drift) = drift else { return (*delay_ps, *sd_ps) };
+        let (drift_ps, sd_ps) = drift.at(acquired_at.and_then(acquisition_time::seconds));
+        (delay_ps + drift_ps, sd_ps)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drift_is_taken_at_the_time_of_a_capture() {
+        let row = Delay {
+            campaign: "c".into(),
+            sensor: "a".into(),
+            delay_ps: 3.0,
+            sd_ps: 0.5,
+            drift_from: Some("2026-05-12T09:00:00".into()),
+            drift_step_s: Some(3600.0),
+            drift_ps: Some(vec![0.0, 4.0, 2.0]),
+            drift_sd_ps: Some(vec![1.0, 2.0, 3.0]),
+            ..Delay::default()
+        };
+        let key = row.sensor_range();
+        let delays = Delays::new(std::slice::from_ref(&row));
+        assert_eq!(delays.delay_ps(&key, Some("2026-05-12T09:30:00")), (5.0, 1.5));
+        assert_eq!(delays.delay_ps(&key, Some("2026-05-12T11:00:00")), (5.0, 3.0));
+        assert_eq!(delays.delay_ps(&key, None), (5.0, 13.0_f64.sqrt()));
+        let steady = Delays::new(&[Delay { drift_from: None, ..row }]);
+        assert_eq!(steady.delay_ps(&key, Some("2026-05-12T09:30:00")), (3.0, 0.5));
     }
 }

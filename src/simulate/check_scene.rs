@@ -104,13 +104,14 @@ fn positive(scene: &Scene) -> Vec<Entry> {
 
 fn not_negative(scene: &Scene) -> Vec<Entry> {
     let (instrument, captures) = (&scene.instrument, &scene.captures);
-    let Flaws { slew_ps, delay_sd_ps, .. } = instrument.flaws;
+    let Flaws { slew_ps, delay_sd_ps, delay_walk_ps, .. } = instrument.flaws;
     let mut entries = vec![
         ("[instrument]: jitter_ps", instrument.jitter_ps),
         ("[instrument]: noise_v", instrument.noise_v.unwrap_or(0.0)),
         ("[instrument]: dark_a", instrument.dark_a),
         ("[instrument.flaws]: slew_ps", slew_ps),
         ("[instrument.flaws]: delay_sd_ps", delay_sd_ps),
+        ("[instrument.flaws]: delay_walk_ps", delay_walk_ps),
         ("[captures]: path_sd_m", captures.path_sd_m),
         ("[captures]: response_od", captures.response_od),
         ("[captures]: first_bounce_od", captures.first_bounce_od),

@@ -275,6 +275,7 @@ pub struct Flaws {
     pub recovery: Option<Tail>,
     pub delay_ps_per_h: f64,
     pub delay_sd_ps: f64,
+    pub delay_walk_ps: f64,
 }
 
 /// Mismatch of interleaved converters.

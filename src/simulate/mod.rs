@@ -50,6 +50,7 @@
 //! cores = 4, offset_v = 0.001, gain = 0.01 } pickup = { volts = 0.001, frequency_ghz = 0.4, decay_ps = 3000.0 } echo =
 //! { ratio = 0.01, delay_ps = 4000.0 } tail = { ratio = 0.01, tau_ps = 2000.0 } recovery = { ratio = 0.02, tau_ps =
 //! 3000.0 }   # after clipping delay_ps_per_h = 0.0 delay_sd_ps = 0.0                  # from capture to capture
+//! delay_walk_ps = 0.0                # a random walk: its standard deviation after an hour
 //! [captures] shots = 100                        # of each scene capture; for photon counters, pulses of the laser lit
 //! = [1, 2]                       # optional, like `seen`: patches and views; else all visible patches bounces = 2
 //! # optional: light is followed so far, 1 to 5 ranges = "auto"                    # optional: the most sensitive range

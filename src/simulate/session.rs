@@ -20,6 +20,10 @@ use crate::units::{self, PatchId};
 const DIFFUSER: f64 = 0.8;
 /// Steps of the attenuator that brings a response into the range, in optical density.
 const OD_STEP: f64 = 0.1;
+/// Time between the steps of a delay's random walk.
+const STEP_S: f64 = 60.0;
+/// Random stream of that walk; captures have their own.
+const WALK_STREAM: u64 = u64::MAX - 1;
 
 /// One capture.
 #[derive(Clone, Debug)]
@@ -69,6 +73,9 @@ pub struct Session<'a> {
     room: &'a Room,
     seed: u64,
     now_s: f64,
+    /// The delay's random walk, in ps at every step, and where its steps come from.
+    walk: Vec<f64>,
+    walk_rng: ChaCha8Rng,
     shootings: Vec<Shooting>,
 }
 
@@ -81,7 +88,10 @@ impl<'a> Session<'a> {
         lights: &BTreeMap<PatchId, CaptureLights>,
         seed: u64,
     ) -> Vec<Shooting> {
-        let mut session = Self { scene, chain, room, seed, now_s: 0.0, shootings: Vec::new() };
+        let mut walk_rng = ChaCha8Rng::seed_from_u64(seed);
+        walk_rng.set_stream(WALK_STREAM);
+        let mut session =
+            Self { scene, chain, room, seed, now_s: 0.0, walk: Vec::new(), walk_rng, shootings: Vec::new() };
         for (number, name) in scene.sensors.keys().enumerate() {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             rng.set_stream(number as u64);
@@ -216,11 +226,27 @@ impl<'a> Session<'a> {
         let hours = shooting.start_s / 3600.0;
         let flaws = &self.scene.instrument.flaws;
         shooting.latency_ps += flaws.delay_ps_per_h * hours + flaws.delay_sd_ps * normal();
+        shooting.latency_ps += self.walk_ps(shooting.start_s);
         let drift =
             self.scene.laser.map_or(1.0, |laser| (1.0 + laser.power_per_h * hours) * (1.0 + laser.power_sd * normal()));
         shooting.factor = attenuation(shooting.attenuation_od) * drift.max(0.0);
         self.now_s = shooting.start_s + shooting.shots as f64 / self.scene.rate_hz() + self.scene.captures.overhead_s;
         self.shootings.push(shooting);
+    }
+
+    /// How far the delay has walked at a time.
+    fn walk_ps(&mut self, time_s: f64) -> f64 {
+        let sd_ps = self.scene.instrument.flaws.delay_walk_ps * (STEP_S / 3600.0).sqrt();
+        if sd_ps == 0.0 {
+            return 0.0;
+        }
+        let position = time_s / STEP_S;
+        while self.walk.len() < position as usize + 2 {
+            let normal: f64 = StandardNormal.sample(&mut self.walk_rng);
+            self.walk.push(self.walk.last().map_or(0.0, |last_ps| last_ps + sd_ps * normal));
+        }
+        let (before_ps, after_ps) = (self.walk[position as usize], self.walk[position as usize + 1]);
+        before_ps + position.fract() * (after_ps - before_ps)
     }
 
     fn settings(&self, name: &str) -> Vec<Setting> {

@@ -5,6 +5,7 @@
 //! | what | from |
 //! |---|---|
 //! | fit | chi-square of `fits`: whether the model explains the onsets |
+//! | drift of the delays | `fits`: how far delays drift between captures, where onsets show it without fiducials |
 //! | labels | onsets with a path, and without one |
 //! | later bounces | onsets whose paths have four bounces or five, which only a bright room shows |
 //! | hidden patches | `hypotheses`: those accepted, and the likeliest one that was not |
@@ -165,7 +166,9 @@ impl Apply for Conclude {
 impl Context {
     /// What a solution from onsets rests on.
     fn onset_decisions(&self, best: &[&Patch]) -> Vec<Decision> {
-        let mut decisions = vec![self.fit(), self.labelled(), self.later_bounces(), self.hidden(best)];
+        let mut decisions = vec![self.fit()];
+        decisions.extend(self.drift());
+        decisions.extend([self.labelled(), self.later_bounces(), self.hidden(best)]);
         decisions.extend(self.weak());
         decisions.extend(self.walls());
         decisions.extend(self.scenes.iter().map(place));
@@ -212,6 +215,23 @@ impl Context {
         let is_whole = fit.chi2 <= maximum_likelihood::by_chance(fit.degrees_of_freedom.into());
         let chosen = if is_whole { "explained" } else { "explained but for the onsets that `suspects` lists" };
         decision("fit", chosen, &evidence, "residuals larger than chance makes them in one campaign of 1,000")
+    }
+
+    /// Whether delays drift while the captures are taken.
+    fn drift(&self) -> Option<Decision> {
+        let fit = self.best_fit()?;
+        let (drift_ps, hours) = (fit.drift_ps?, fit.drift_span_s? / 3600.0);
+        let evidence = fit.drift_log_likelihood?;
+        Some(Decision {
+            log_likelihood_ratio: Some(evidence),
+            runner_up: Some("larger errors of all onsets".into()),
+            ..decision(
+                "drift of the delays",
+                &format!("times drift by {drift_ps:.1} ps within {hours:.1} h"),
+                &format!("onsets check one another: log-likelihood ratio {evidence:.1} against larger errors of all"),
+                "fiducial captures through the session, which measure the drift",
+            )
+        })
     }
 
     /// How many pulses have a path: onsets, and the two parts of those that are read as two.

@@ -168,7 +168,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 11;
+    const VERSION: u32 = 12;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -259,6 +259,7 @@ fn stir(profile: &Profile, ready: Ready, explained: Option<Explained>) -> Stir {
         lit: profile.lit,
         seen: profile.seen,
         range: profile.range.clone(),
+        acquired_at: profile.acquired_at.clone(),
         t0_ps: ready.flight.t0_ps,
         dt_ps: ready.flight.dt_ps,
         profile: ready.light.into_iter().collect(),

@@ -106,7 +106,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::Capture;
     const CONDITIONS: &'static [Condition] = &[
         Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
@@ -337,6 +337,7 @@ fn blank(stir: &Stir) -> Onset {
         lit: stir.lit,
         seen: stir.seen,
         range: stir.range.clone(),
+        acquired_at: stir.acquired_at.clone(),
         jitter_ps: stir.jitter_ps,
         power_ratio: stir.power_ratio,
         response_width: stir.response_width,

@@ -210,14 +210,14 @@ impl Context {
 
     fn profile(&self, onsets: &[Onset]) -> Profile {
         let Onset { lit, seen, .. } = onsets[0];
-        let (delay_ps, delay_sd_ps) = self.delays.delay_ps(&onsets[0]);
+        let (delay_ps, delay_sd_ps) = self.delays.delay_ps(&onsets[0], onsets[0].acquired_at.as_deref());
         Profile { lit, seen, delay_ps, delay_sd_ps, arrivals: onsets.iter().map(arrival).collect() }
     }
 }
 
 impl Stage for LabelOnsets {
     const KIND: &'static str = "label";
-    const VERSION: u32 = 20;
+    const VERSION: u32 = 21;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

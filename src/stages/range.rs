@@ -86,7 +86,7 @@ pub struct Context {
 
 impl Stage for Range {
     const KIND: &'static str = "range";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

@@ -32,6 +32,12 @@
 //! onset that was fitted as a point, where its patches spread light, is off by what that moves it: so its error is
 //! larger.
 //!
+//! Delays may drift while the captures are taken, and no fiducial be there to follow them. Where residuals are larger
+//! than chance allows, and the onsets have the times of their captures (`acquired_at`), each sensor's delay is a random
+//! walk ([`crate::geometry::drift`]), if that is likelier by `e^7` than larger errors of all onsets. How far it walks
+//! follows from the likelihood. `delays` has it at knots, with standard deviations, so that later stages take it off
+//! too.
+//!
 //! Where residuals are larger than chance allows (the 99.9 % point of chi-square, each residual cut at three standard
 //! deviations), the model does not explain the onsets. Onsets of a kind that scatters more than it should (first,
 //! second, later bounces, onsets read as two) get larger variances (`fits.widened`). What is left makes all variances
@@ -64,6 +70,7 @@
 mod companions;
 mod context;
 mod doubtful;
+mod drift;
 mod extents;
 mod model;
 mod others;
@@ -76,9 +83,11 @@ use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
+use crate::geometry::Point;
+use crate::geometry::drift::Evidence;
 use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
-use crate::geometry::maximum_likelihood::{self, Problem, Solution, Unsolved};
+use crate::geometry::maximum_likelihood::{self, Observation, Problem, Solution, Unsolved};
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::footprints::{self, Extent};
 use crate::tables::{
@@ -86,8 +95,9 @@ use crate::tables::{
 };
 use context::{Context, Fields};
 use doubtful::Later;
+use drift::Drift;
 use extents::Extents;
-use model::Model;
+use model::{Model, footprint_errors};
 use readings::Onsets;
 use rows::{Fitted, Tables};
 
@@ -95,6 +105,10 @@ use rows::{Fitted, Tables};
 /// most `ROUNDS` rounds.
 const SHIFTED_M: f64 = 1e-6;
 const ROUNDS: usize = 6;
+/// Delays drift where the onsets make it likelier by this factor: `e^7`, about 1 in 10,000 campaigns without a drift.
+const DRIFT_GAIN: f64 = 7.0;
+/// The size of a drift is computed anew until it changes by less than this share.
+const SAME_SIZE: f64 = 0.02;
 
 /// Parameters of `refine`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -112,7 +126,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 15;
+    const VERSION: u32 = 16;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -152,10 +166,10 @@ impl Apply for Refine {
         if labels.is_empty() {
             return unlabelled(context);
         }
-        let model = Model::new(context, &labels);
-        let mut problem = model.problem(if self.robust { Loss::Huber } else { Loss::Squared });
+        let mut model = Model::new(context, &labels);
+        let mut problem = model.problem(self.loss());
         let start = problem.start.clone();
-        let mut solution = self.solve(&model, &mut problem)?;
+        let (mut solution, refusal) = self.solve_first(&model, &mut problem)?;
         let is_fixed = solution.free_rotations.first() == Some(&0);
         let extents = &context.first().extents;
         let given = footprints::of(extents, &footprints::normals(extents, &context.planes, is_fixed));
@@ -165,24 +179,20 @@ impl Apply for Refine {
             observation.sd_m = observation.sd_m.hypot(pull.sd_m);
         }
         let mut shifts_m = vec![0.0; labels.len()];
+        let measured = problem.observations.clone();
         if !footprints.is_empty() || pulls.iter().any(|pull| pull.sd_m > 0.0) {
             shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
         }
-        let mut observations = problem.observations.clone();
-        let mut used: Vec<Option<usize>> = (0..observations.len()).map(Some).collect();
-        let mut with_all = None;
-        if self.robust && solution.loss > maximum_likelihood::by_chance(solution.degrees_of_freedom as f64) {
-            let places = [solution.points.as_slice(), start.as_slice()];
-            if let Some((out, points)) = maximum_likelihood::outliers(&problem, &solution.points, &places) {
-                let kept = observations.iter().zip(&out).filter(|(_, out)| !**out).map(|(kept, _)| kept.clone());
-                let (observations, loss) = (kept.collect(), Loss::Huber);
-                with_all = Some(std::mem::take(&mut solution.points));
-                problem = Problem { start: points, observations, loss, ..problem };
-                solution = self.solve(&model, &mut problem)?;
-                let mut next = 0..;
-                used = out.iter().map(|out| if *out { None } else { next.next() }).collect();
-            }
+        if let Some(drift) = self.drift(&model, &problem, &solution, footprint_errors(&footprints)) {
+            (problem.observations, problem.loss) = (drifting(&drift, &labels, measured), self.loss());
+            model.drift = Some(drift);
+            shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
         }
+        if let Some(refusal) = refusal.filter(|_| model.drift.is_none()) {
+            return Err(refusal);
+        }
+        let mut observations = problem.observations.clone();
+        let (used, with_all) = self.leave_out(&model, &mut problem, &mut solution, &start)?;
         let mut widened = [1.0; ONSET_KINDS.len()];
         if self.robust {
             widened = self.weigh(&model, &used, &mut problem, &mut solution)?;
@@ -213,6 +223,24 @@ impl Apply for Refine {
 }
 
 impl Refine {
+    const fn loss(&self) -> Loss {
+        if self.robust { Loss::Huber } else { Loss::Squared }
+    }
+
+    /// Where most lengths contradict one another since delays drift, no robust loss may settle. The squared one does:
+    /// it is where to look for a drift from. With it comes the refusal that holds if there is none.
+    fn solve_first(&self, model: &Model, problem: &mut Problem) -> Result<(Solution, Option<StageError>), StageError> {
+        let refusal = match self.solve(model, problem) {
+            Ok(solution) => return Ok((solution, None)),
+            Err(refusal) => refusal,
+        };
+        problem.loss = Loss::Squared;
+        match maximum_likelihood::solve(problem) {
+            Ok(solution) => Ok((solution, Some(refusal))),
+            Err(_) => Err(refusal),
+        }
+    }
+
     /// Huber's loss settles slowly where many lengths contradict one another; the redescending one takes its place.
     fn solve(&self, model: &Model, problem: &mut Problem) -> Result<Solution, StageError> {
         let solution = match maximum_likelihood::solve(problem) {
@@ -223,6 +251,53 @@ impl Refine {
             solution => solution,
         };
         solution.map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
+    }
+
+    /// Walks of the delays, where residuals are larger than chance makes them and the onsets make these likelier; their
+    /// errors in common have the numbers from `first` on.
+    fn drift(&self, model: &Model, problem: &Problem, solution: &Solution, first: usize) -> Option<Drift> {
+        let mut drift = Drift::new(model, solution, problem, first).filter(|_| solution.exceeds_chance())?;
+        for _ in 0..ROUNDS {
+            let observations = drifting(&drift, model.labels, problem.observations.clone());
+            let (start, loss) = (solution.points.clone(), self.loss());
+            let mut walked = Problem { start, observations, loss, ..problem.clone() };
+            let solution = self.solve(model, &mut walked).ok()?;
+            let (scale, gain) = Evidence::new(&solution, drift.errors())?.size();
+            if gain < DRIFT_GAIN {
+                return None;
+            }
+            drift = drift.scaled(scale, gain);
+            if (scale - 1.0).abs() < SAME_SIZE {
+                break;
+            }
+        }
+        Some(drift)
+    }
+
+    /// Solves again without onsets that contradict the others. Of all onsets their place among those that are left, and
+    /// where all of them would place the patches.
+    fn leave_out(
+        &self,
+        model: &Model,
+        problem: &mut Problem,
+        solution: &mut Solution,
+        start: &[Point],
+    ) -> Result<(Vec<Option<usize>>, Option<Vec<Point>>), StageError> {
+        let all = (0..problem.observations.len()).map(Some).collect();
+        if !self.robust || !solution.exceeds_chance() {
+            return Ok((all, None));
+        }
+        let places = [solution.points.as_slice(), start];
+        let Some((out, points)) = maximum_likelihood::outliers(problem, &solution.points, &places) else {
+            return Ok((all, None));
+        };
+        let mut is_out = out.iter();
+        problem.observations.retain(|_| is_out.next() == Some(&false));
+        (problem.start, problem.loss) = (points, Loss::Huber);
+        let with_all = std::mem::take(&mut solution.points);
+        *solution = self.solve(model, problem)?;
+        let mut next = 0..;
+        Ok((out.iter().map(|out| if *out { None } else { next.next() }).collect(), Some(with_all)))
     }
 
     /// Solves again with larger variances for onsets of kinds that scatter more, until none does; gives the factors.
@@ -273,9 +348,17 @@ impl Refine {
                 break;
             }
         }
-        let of_errors_m = problem.observations.iter().map(|observation| observation.common_m(&solution.common));
+        // Errors with larger numbers are those of a drift.
+        let of_footprints = &solution.common[..footprint_errors(footprints).min(solution.common.len())];
+        let of_errors_m = problem.observations.iter().map(|observation| observation.common_m(of_footprints));
         Ok(shifts_m.iter().zip(of_errors_m).map(|(shift_m, more_m)| shift_m + more_m).collect())
     }
+}
+
+/// Onsets with the walks of their sensors' delays.
+fn drifting(drift: &Drift, labels: &[Label], mut observations: Vec<Observation>) -> Vec<Observation> {
+    labels.iter().zip(&mut observations).for_each(|(label, observation)| drift.add_to(label, observation));
+    observations
 }
 
 /// The tables beside `patches`, in the order of [`Refine::SIDES`]; of footprints those that were `moved` and `given`.

@@ -16,6 +16,8 @@ table! {
         seen: i32,
         /// Vertical range whose delay applies to the times, where captures were recorded at several.
         range: Option<Name>,
+        /// Wall-clock time of the capture's first shot (ISO 8601, time zone of the instrument), where its file has it.
+        acquired_at: Option<Name>,
         /// Rank of the onset in its profile.
         rank: i32,
         /// 0 for the onset as a whole; 1 and 2 for the earlier and the later of two pulses that a wide onset is read

@@ -16,6 +16,8 @@ table! {
         seen: i32,
         /// Vertical range whose delay applies to the times, where captures were recorded at several.
         range: Option<Name>,
+        /// Wall-clock time of the capture's first shot (ISO 8601, time zone of the instrument), where its file has it.
+        acquired_at: Option<Name>,
         /// Order of arrival within its profile, from 1.
         rank: i32,
         /// Time of flight of the arrival.

@@ -21,6 +21,15 @@ table! {
         sd_ps: f64,
         /// Standard deviation that calibration allows for it.
         prior_sd_ps: f64,
+        /// Wall-clock time of the first knot of the drift (ISO 8601, time zone of the instrument): that of the sensor's
+        /// first capture. Null where the onsets show no drift.
+        drift_from: Option<Name>,
+        /// Time between its knots, in seconds.
+        drift_step_s: Option<f64>,
+        /// What the drift adds to the delay at each knot.
+        drift_ps: Option<Vec<f64>>,
+        /// Standard deviation of delay and drift together at each knot.
+        drift_sd_ps: Option<Vec<f64>>,
     }
 }
 
@@ -144,6 +153,14 @@ table! {
         /// Factors on the variances of first, second and later bounces, and of onsets read as two, where the median
         /// residual of these is larger than chance allows; else 1.
         widened: Vec<f64>,
+        /// Largest change of a sensor's delay between two of its captures, where the onsets show that delays drift;
+        /// else null.
+        drift_ps: Option<f64>,
+        /// Longest time between the first and the last capture of a sensor whose delay drifts, in seconds.
+        drift_span_s: Option<f64>,
+        /// Log-likelihood ratio of the drift against errors of all onsets that are as much larger as residuals make
+        /// them.
+        drift_log_likelihood: Option<f64>,
         /// Log-likelihood up to a constant; large residuals count linearly.
         log_likelihood: f64,
         /// The laser's period, where onsets spread over several.

@@ -219,6 +219,8 @@ table! {
         seen: i32,
         /// Vertical range whose delay applies to the times, where captures were recorded at several.
         range: Option<Name>,
+        /// Wall-clock time of the capture's first shot (ISO 8601, time zone of the instrument), where its file has it.
+        acquired_at: Option<Name>,
         /// Time of sample 0 after the reference pulse, without the sensor's latency.
         t0_ps: f64,
         /// Time between samples.

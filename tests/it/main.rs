@@ -14,6 +14,7 @@ mod commands;
 mod corner;
 mod determinism;
 mod diff;
+mod drift;
 mod explain;
 mod failures;
 mod faint;

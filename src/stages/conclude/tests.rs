@@ -47,6 +47,18 @@ fn a_fit_that_is_not_explained_says_how_much_larger_its_errors_are() {
     assert_eq!(chosen(fit(0.0, 0)), "unchecked");
 }
 
+/// A drift is a row of its own; without one there is none.
+#[test]
+fn a_drift_is_said_with_its_evidence() {
+    let steady = decisions(&context(fit(50.0, 50)));
+    assert!(steady.iter().all(|row| &*row.what != "drift of the delays"));
+    let drift =
+        Fit { drift_ps: Some(21.04), drift_span_s: Some(86_400.0), drift_log_likelihood: Some(85.0), ..fit(50.0, 50) };
+    let rows = decisions(&context(drift));
+    assert_eq!((&*rows[1].what, &*rows[1].chosen), ("drift of the delays", "times drift by 21.0 ps within 24.0 h"));
+    assert_eq!(rows[1].log_likelihood_ratio, Some(85.0));
+}
+
 /// Another solution stands with its likelihood, as `ambiguities` has it, and points to its rows in `patches`.
 #[test]
 fn other_solutions_keep_their_likelihood() {

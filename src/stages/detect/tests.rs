@@ -46,6 +46,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         lit: 1,
         seen: 2,
         range: Some("fine".into()),
+        acquired_at: Some("2026-05-12T13:05:10".into()),
         t0_ps: 0.0,
         dt_ps: DT_PS,
         profile: mean_v.iter().copied().collect(),

@@ -49,6 +49,7 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         lit: onset.lit,
         seen: onset.seen,
         range: onset.range.clone(),
+        acquired_at: onset.acquired_at.clone(),
         rank: onset.rank,
         part: place.part,
         time_ps: place.time_ps + medium.turns_ps(verdict.turns),

@@ -77,6 +77,7 @@ fn delay(range: Option<&str>, delay_ps: f64) -> Delay {
         delay_ps,
         sd_ps: 2.0,
         prior_sd_ps: 100.0,
+        ..Delay::default()
     }
 }
 

@@ -127,7 +127,7 @@ impl Thirds {
         let sensor = fields.stations.sensor(&label.sensor).expect("only labels of a sensor with a station come here");
         let stations = [fields.stations.source(), sensor].map(|station| self.station(station));
         let delay = places.and_then(|places| places.delays.key_of(label)).cloned();
-        let delay_ps = places.map_or(0.0, |places| places.delays.delay_ps(label).0);
+        let delay_ps = places.map_or(0.0, |places| places.delays.delay_ps(label, label.acquired_at.as_deref()).0);
         let length = Length { length_m: length.length_m - fields.medium.path_m(delay_ps), ..length };
         self.thirds.push(Third { lit, hidden, seen, stations, length, delay });
     }
@@ -146,7 +146,7 @@ impl Thirds {
         let delays: BTreeSet<&SensorRange> = self.thirds.iter().filter_map(|third| third.delay.as_ref()).collect();
         let delays: Vec<&SensorRange> = delays.into_iter().collect();
         let delay_sd_m = |key: &SensorRange| {
-            places.map_or(0.0, |places| fields.of(&key.campaign).medium.path_m(places.delays.at(key).1))
+            places.map_or(0.0, |places| fields.of(&key.campaign).medium.path_m(places.delays.sd_ps(key)))
         };
         let mut sums: BTreeMap<PatchId, Vec<Sum>> = BTreeMap::new();
         let mut solved = Solved::default();

@@ -12,7 +12,7 @@ use crate::priors::delays::Latencies;
 use crate::priors::footprints::{self, Extent};
 use crate::priors::sensor_range::{OfSensorRange, SensorRange, own_or_only};
 use crate::stages::stage::{BesideTables, StageError};
-use crate::tables::{Calibration, Label, Patch, Plane, SceneOdds};
+use crate::tables::{Calibration, Label, Name, Patch, Plane, SceneOdds};
 use crate::units::PatchId;
 
 /// Share of the laser's period that is its standard deviation where campaign.toml gives none.
@@ -78,9 +78,25 @@ pub struct Context {
     pub latencies: Latencies,
     /// Full width at half maximum of each response.
     pub widths_ps: BTreeMap<SensorRange, f64>,
+    /// When the responses were captured, by campaign and sensor: the earliest.
+    pub calibrated_at: BTreeMap<(Name, Name), Name>,
     pub planes: Vec<Plane>,
     /// Ends the solution.
     pub cancel: Cancel,
+}
+
+/// By campaign and sensor, the earliest time at which a response was captured.
+fn calibrated_at(calibration: &[Calibration]) -> BTreeMap<(Name, Name), Name> {
+    let mut times = BTreeMap::new();
+    for row in calibration {
+        let Some(time) = &row.acquired_at else { continue };
+        let earliest: &mut Name =
+            times.entry((row.campaign.clone(), row.sensor.clone())).or_insert_with(|| time.clone());
+        if time < earliest {
+            earliest.clone_from(time);
+        }
+    }
+    times
 }
 
 impl Context {
@@ -96,6 +112,7 @@ impl Context {
             rivals,
             latencies: Latencies::new(&calibration),
             widths_ps: calibration.iter().map(|row| (row.sensor_range(), row.width_ps)).collect(),
+            calibrated_at: calibrated_at(&calibration),
             planes: beside.rows("planes")?.unwrap_or_default(),
             cancel: beside.cancel.clone(),
         })

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Vector3;
 
 use super::context::{Context, Fields};
+use super::drift::Drift;
 use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
@@ -24,6 +25,11 @@ const EXACT_RAD: f64 = 1e-6;
 /// single onsets.
 const COMMON_MAX: usize = 200;
 
+/// Number of the errors that onsets have in common through footprints.
+pub fn footprint_errors(footprints: &Footprints) -> usize {
+    if footprints.0.len() > COMMON_MAX { 0 } else { 3 * footprints.0.len() }
+}
+
 /// A station of a campaign: two campaigns that agree on one share it.
 pub struct NamedStation {
     pub campaign: Name,
@@ -38,6 +44,8 @@ pub struct Model<'a> {
     pub patches: Vec<PatchId>,
     pub delays: Vec<SensorRange>,
     pub stations: Vec<NamedStation>,
+    /// Walks of the delays, where the onsets show that these drift.
+    pub drift: Option<Drift>,
     /// Patches that laser or sensor sees.
     visible: BTreeSet<PatchId>,
     /// Station of a campaign, by its position in `stations`.
@@ -67,6 +75,7 @@ impl<'a> Model<'a> {
             patches: patches.into_iter().collect(),
             delays: delays.into_iter().cloned().collect(),
             stations,
+            drift: None,
             visible: labels.iter().flat_map(|label| [label.lit, label.seen]).collect(),
             station_at,
         }
@@ -201,7 +210,7 @@ impl<'a> Model<'a> {
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
         let delay = self.context.latencies.delay_of(label);
-        Observation {
+        let mut observation = Observation {
             nodes: std::iter::once(station(LASER))
                 .chain(path)
                 .chain([station(stations.of_sensor(&label.sensor))])
@@ -211,7 +220,9 @@ impl<'a> Model<'a> {
             delay: delay.and_then(|delay| self.delays.binary_search(delay).ok()),
             turns: label.turns,
             common: Vec::new(),
-        }
+        };
+        self.drift.iter().for_each(|drift| drift.add_to(label, &mut observation));
+        observation
     }
 
     /// The observations without the shifts of footprints, and these. Errors of sizes and directions of their patches

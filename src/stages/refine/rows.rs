@@ -157,22 +157,44 @@ impl<'a> Tables<'a> {
         pairs.filter(|&(a, b)| is_moved(a) || is_moved(b)).map(row).collect()
     }
 
+    /// With those of sensors that drift, but whose latency is exact.
     pub fn delays(&self) -> Vec<Delay> {
         let row = |(n, key): (usize, &SensorRange)| {
             let time = |length_m| self.model.medium(key).time_ps(length_m);
             let prior_sd_ps = self.model.context.latencies.latency(key).sd_ps;
             let sd_m = (self.solution.misfit * self.solution.delay_variance_m2(n)).sqrt();
             Delay {
-                campaign: key.campaign.clone(),
-                sensor: key.sensor.clone(),
-                range: key.range.clone(),
                 delay_ps: time(self.solution.delays_m[n]),
                 // A misfit of the onsets says nothing against the calibration.
                 sd_ps: time(sd_m).min(prior_sd_ps),
                 prior_sd_ps,
+                ..self.drift(key, Some(n))
             }
         };
-        self.model.delays.iter().enumerate().map(row).collect()
+        let mut rows: Vec<Delay> = self.model.delays.iter().enumerate().map(row).collect();
+        let exact = self.model.drift.iter().flat_map(|drift| drift.without_delay(&self.model.delays));
+        rows.extend(exact.map(|key| self.drift(&key, None)));
+        rows
+    }
+
+    /// What a drift adds to a delay, by its position among those that are unknowns.
+    fn drift(&self, key: &SensorRange, delay: Option<usize>) -> Delay {
+        let time = |length_m| self.model.medium(key).time_ps(length_m);
+        let knots = self.model.drift.as_ref().and_then(|drift| drift.knots(&key.campaign, &key.sensor));
+        let value_ps = |errors: &Vec<(usize, f64)>| time(self.solution.addition_m(None, errors).0);
+        let sd_ps = |errors: &Vec<(usize, f64)>| {
+            time((self.solution.misfit * self.solution.addition_m(delay, errors).1).sqrt())
+        };
+        Delay {
+            campaign: key.campaign.clone(),
+            sensor: key.sensor.clone(),
+            range: key.range.clone(),
+            drift_from: knots.as_ref().map(|knots| knots.from.clone()),
+            drift_step_s: knots.as_ref().map(|knots| knots.step_s),
+            drift_ps: knots.as_ref().map(|knots| knots.errors.iter().map(value_ps).collect()),
+            drift_sd_ps: knots.as_ref().map(|knots| knots.errors.iter().map(sd_ps).collect()),
+            ..Delay::default()
+        }
     }
 
     pub fn stations(&self) -> Vec<Station> {
@@ -269,6 +291,7 @@ impl<'a> Tables<'a> {
         let others = self.others.iter().map(|other| (&other.solution, self.log_likelihood(other)));
         let solutions = std::iter::once((self.solution, -0.5 * self.solution.loss)).chain(others);
         let fields = self.model.context.first();
+        let medium_of = |campaign: &Name| self.model.context.fields.of(campaign).medium;
         let time = |length_m: f64| fields.medium.time_ps(length_m);
         let row = |(n, (solution, log_likelihood)): (usize, (&Solution, f64))| {
             let period_sd_ps = solution.period_variance_m2().map(|variance_m2| time(variance_m2.sqrt()));
@@ -284,6 +307,9 @@ impl<'a> Tables<'a> {
                 degrees_of_freedom: solution.degrees_of_freedom as i32,
                 misfit: solution.misfit,
                 widened: self.widened.to_vec(),
+                drift_ps: self.model.drift.as_ref().map(|drift| drift.largest_ps(solution, medium_of)),
+                drift_span_s: self.model.drift.as_ref().map(|drift| drift.span_s),
+                drift_log_likelihood: self.model.drift.as_ref().map(|drift| drift.gain),
                 log_likelihood,
                 repetition_ps: repetition_ps.map(|period_ps| period_ps + time(solution.period_m)),
                 repetition_sd_ps: period_sd_ps,

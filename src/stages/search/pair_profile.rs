@@ -117,7 +117,7 @@ impl Context {
         for impulse in impulses {
             add_misfit(&mut flight, &own_v, &response, impulse);
         }
-        let legs_ps = medium.time_ps(legs_m) + self.delays.delay_ps(profile).0;
+        let legs_ps = medium.time_ps(legs_m) + self.delays.delay_ps(profile, profile.acquired_at.as_deref()).0;
         flight.t0_ps -= legs_ps;
         Ok(PairProfile {
             lit: profile.lit,

@@ -67,6 +67,7 @@ impl Model {
                         lit: onset.lit,
                         seen: onset.seen,
                         range: onset.range.clone(),
+                        acquired_at: onset.acquired_at.clone(),
                         rank: onset.rank,
                         part: 0,
                         time_ps: self.medium.time_ps(of.lengths_m[strips[strip]]),

@@ -163,6 +163,7 @@ fn places(points: &BTreeMap<PatchId, Point>, errors_m: &[[Vector3<f64>; 4]], del
         delay_ps,
         sd_ps: 3.0,
         prior_sd_ps: 10.0,
+        ..Delay::default()
     };
     let delays: Vec<Delay> = ["near", "aside"].into_iter().zip(delays_ps).map(delay).collect();
     BesideTables::from([
