@@ -3,7 +3,7 @@
 //! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
 //! a fourth number takes scans of so many photons in a mean histogram alone. Names of things take these alone.
 //!
-//! Points on shapes are those of `shape`; radii of spheres are listed in a second table.
+//! A second table has what `shape` told, with the radii of spheres.
 //!
 //! `cargo bench --bench surfaces -- write FOLDER 1 32 2000 3000` writes such scans as `THING-PHOTONS-SEED.mat`, with
 //! points of the true surface beside each (`.csv`: x, y, z, normal), and runs nothing: for other programs.
@@ -52,26 +52,22 @@ fn main() {
             let of_seed = |seed| results(&thing(kind, seed), &capture(side, seed), *photons);
             let scans: Vec<Results> = (first..first + scans).map(of_seed).collect();
             for (k, name) in KINDS.iter().enumerate() {
-                let tables: [(&str, fn(&Results) -> &[Tally; 3]); 2] =
-                    [("", |one| &one.points), (", on shapes", |one| &one.on_shapes)];
-                for (which, table) in tables {
-                    let of_kind = scans.iter().map(|one| &table(one)[k]).filter(|one| one.points > 0);
-                    print(&format!("{kind} | {photons} | {name}{which}"), &of_kind.collect::<Vec<_>>());
-                }
+                let of_kind = scans.iter().map(|one| &one.points[k]).filter(|one| one.points > 0);
+                print(&format!("{kind} | {photons} | {name}"), &of_kind.collect::<Vec<_>>());
             }
-            shapes.push_str(&told(&format!("{kind} | {photons}"), &scans));
+            shapes.push_str(&shapes_of(&format!("{kind} | {photons}"), &scans));
         }
     }
     println!(
-        "\n| scene | photons | scans | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|"
+        "\n| scene | photons | scans | points on shapes | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|"
     );
     print!("{shapes}");
 }
 
 /// Shapes that were told, and radii of spheres: those of the study have 0.2 m, or 0.12 m beside a plate.
-fn told(name: &str, scans: &[Results]) -> String {
+fn shapes_of(name: &str, scans: &[Results]) -> String {
     let count = |kind: &str| scans.iter().flat_map(|one| &one.shapes).filter(|shape| *shape.kind == *kind).count();
-    let kinds = ["plane", "sphere", "cylinder", "edge", "corner"];
+    let kinds = ["plane", "sphere", "cylinder"];
     let of_scan = |kind: &str| format!("{:.1} {kind}", count(kind) as f64 / scans.len() as f64);
     let shapes: Vec<String> = kinds.iter().filter(|kind| count(kind) > 0).map(|kind| of_scan(kind)).collect();
     let true_m = if name.contains("plate") { 0.12 } else { 0.2 };
@@ -80,7 +76,9 @@ fn told(name: &str, scans: &[Results]) -> String {
     let list =
         |of: fn(&[f64; 2]) -> f64| off.iter().map(|one| format!("{:.1}", of(one))).collect::<Vec<_>>().join(", ");
     let [mm, sds] = [list(|one| 1e3 * one[0]), list(|one| one[0] / one[1])];
-    format!("| {name} | {} | {} | {mm} | {sds} |\n", scans.len(), shapes.join(", "))
+    let points: usize = scans.iter().flat_map(|one| &one.points).map(|one| one.points).sum();
+    let on_shapes: usize = scans.iter().map(|one| one.on_shapes).sum();
+    format!("| {name} | {} | {on_shapes} of {points} | {} | {mm} | {sds} |\n", scans.len(), shapes.join(", "))
 }
 
 /// A scan, and points of its surface that face the wall.

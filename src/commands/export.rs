@@ -34,8 +34,8 @@ pub struct Export {
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]
     patches: Option<String>,
-    /// .ply, .npy: points of a surface from this table, in place of patches and volume [default: `shapes.points` if there
-    /// is one, else `surface`]
+    /// .ply, .npy: points of a surface from this table, in place of patches and volume [default: `shapes.points` if
+    /// there is one, else `surface`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "")]
     surface_points: Option<String>,
     /// .ply: echoes of a lidar from this table, in place of patches [default: `echoes`]

@@ -7,7 +7,7 @@
 //! Points of a surface: place, normal (the direction to the wall where it is no normal), a colour by the standard
 //! deviation (blue the surest, red from twice the median on), lit and seen patch of the wall, kind (0 smooth, 1 edge,
 //! 2 corner, 3 unknown), then standard deviation and covariance, standard deviation of the normal, and number of the
-//! shape that says the point (0: none).
+//! shape that it lies on (0: none).
 //!
 //! Echoes of a lidar: place in the frame of the file, standard deviation along the beam, height, width and its standard
 //! deviation, number of the echo and of the echoes of its pulse, GPS time.

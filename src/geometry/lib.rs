@@ -76,7 +76,7 @@
 //! | [`hidden`], [`faint`] | patches that no first bounce reaches |
 //! | [`joint`] | small hidden things from all photon histograms of a wall together |
 //! | [`first_return`] | points of hidden surfaces, with normals, from the first light at each point of a wall |
-//! | [`shapes`] | planes, spheres, cylinders, edges and corners that such points lie on |
+//! | [`shapes`] | planes, spheres and cylinders that such points lie on |
 //! | [`mirror`], [`bistatic`] | scenes behind a diffuser, source and sensor apart |
 //! | [`companion`] | light of other paths that an onset does not resolve |
 //! | [`planes`], [`frame`], [`procrustes`], [`ellipsoid`], [`footprint`] | what positions say, and in which frame |

@@ -1,4 +1,4 @@
-//! `shape`: planes, spheres, cylinders, straight edges and corners that points of hidden surfaces lie on.
+//! `shape`: planes, spheres and cylinders that points of hidden surfaces lie on.
 //!
 //! Fitted are the lengths of first light ([`crate::geometry::shapes`]), with the errors that neighbours have in common.
 //! A shape is told only where it is sure: its kind is likelier than any other by a factor of 20, chi-square is one that
@@ -6,10 +6,11 @@
 //! `first_returns` gave them.
 //!
 //! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `shapes`,
-//! and `points`: all points again, those of a shape as the shape says them. They are surer, since all that shows a shape
-//! tells each of them. Captures whose lit and seen points differ are left out.
+//! and `points`: all points again, with the shape that they lie on. Captures whose lit and seen points differ are left
+//! out.
 //!
-//! Not modelled: hollow spheres and cylinders, where planes end, errors of the wall's places.
+//! Not modelled: edges and corners, hollow spheres and cylinders, where planes
+//! end, errors of the wall's places.
 //!
 //! ```toml
 //! [shapes]
@@ -74,10 +75,7 @@ impl Apply for FitShapes {
         let sightings: Vec<Sighting> = sighted.iter().map(|(_, sighting)| *sighting).collect();
         let shapes = shapes::shapes(&sightings, &context.cancel);
         for (number, shape) in shapes.iter().enumerate() {
-            for member in &shape.members {
-                let (place, sighting) = &sighted[*member];
-                group[*place] = on_shape(&group[*place], number as i32 + 1, shape, &sighting.seen);
-            }
+            shape.members.iter().for_each(|member| group[sighted[*member].0].shape = Some(number as i32 + 1));
         }
         let rows = shapes.iter().enumerate().map(|(number, shape)| row(number as i32 + 1, shape)).collect();
         Ok(Outcome { rows, sides: vec![SurfacePoint::to_batch(&group)], rejections: Vec::new() })
@@ -106,50 +104,6 @@ fn sighting(point: &SurfacePoint, walls: &BTreeMap<PatchId, Point>) -> Option<Si
     Some(Sighting { seen, light, point: Point::new(point.x_m, point.y_m, point.z_m), covariance_m2, part })
 }
 
-/// A point as its shape says it.
-fn on_shape(point: &SurfacePoint, number: i32, shape: &shapes::Shape, seen: &Point) -> SurfacePoint {
-    let foot = shape.foot(seen);
-    let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&foot.covariance_m2);
-    let [normal_cov_xx, normal_cov_xy, normal_cov_xz, normal_cov_yy, normal_cov_yz, normal_cov_zz] =
-        upper(&foot.away_covariance);
-    let bend = shape.radius_m().map(|[radius_m, _]| 1.0 / radius_m);
-    let (kind, curvatures) = match shape.kind() {
-        Kind::Plane => ("smooth", [Some(0.0); 2]),
-        Kind::Sphere => ("smooth", [bend; 2]),
-        Kind::Cylinder => ("smooth", [bend, Some(0.0)]),
-        Kind::Edge => ("edge", [None; 2]),
-        Kind::Corner => ("corner", [None; 2]),
-    };
-    SurfacePoint {
-        x_m: foot.point.x,
-        y_m: foot.point.y,
-        z_m: foot.point.z,
-        cov_xx_m2,
-        cov_xy_m2,
-        cov_xz_m2,
-        cov_yy_m2,
-        cov_yz_m2,
-        cov_zz_m2,
-        sd_m: foot.covariance_m2.trace().sqrt(),
-        normal_x: foot.away.x,
-        normal_y: foot.away.y,
-        normal_z: foot.away.z,
-        normal_cov_xx,
-        normal_cov_xy,
-        normal_cov_xz,
-        normal_cov_yy,
-        normal_cov_yz,
-        normal_cov_zz,
-        kind: kind.into(),
-        curvature_max_per_m: curvatures[0],
-        curvature_min_per_m: curvatures[1],
-        wall_points: shape.members.len() as i32,
-        misfit: shape.misfit,
-        shape: Some(number),
-        ..point.clone()
-    }
-}
-
 fn row(number: i32, shape: &shapes::Shape) -> Shape {
     let [at_m2, axis] = shape.covariances();
     let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&at_m2);
@@ -157,8 +111,6 @@ fn row(number: i32, shape: &shapes::Shape) -> Shape {
         Kind::Plane => "plane",
         Kind::Sphere => "sphere",
         Kind::Cylinder => "cylinder",
-        Kind::Edge => "edge",
-        Kind::Corner => "corner",
     };
     let [x, y, z] = [0, 1, 2].map(|k| shape.axis().map(|axis| axis[k]));
     Shape {

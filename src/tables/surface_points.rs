@@ -70,7 +70,7 @@ table! {
         light_zone_m: f64,
         /// Standard deviation of the error that all first light of a scan has in common.
         light_common_sd_m: f64,
-        /// Shape of `shapes` that says the point; null where none does, and before `shape`.
+        /// Shape of `shapes` that the point lies on; null where there is none, and before `shape`.
         shape: Option<i32>,
     }
 }

@@ -1,4 +1,4 @@
-//! A plane, a sphere, a cylinder, a straight edge or a corner, and the distance from a point to it.
+//! A plane, a sphere or a cylinder, and the distance from a point to it.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Unit, Vector3};
 
@@ -35,8 +35,8 @@ impl Core {
     /// Number of unknowns.
     pub fn unknowns(&self) -> usize {
         match self.kind {
-            Kind::Plane | Kind::Corner => 3,
-            Kind::Sphere | Kind::Edge => 4,
+            Kind::Plane => 3,
+            Kind::Sphere => 4,
             Kind::Cylinder => 5,
         }
     }
@@ -47,7 +47,7 @@ impl Core {
         if self.kind == Kind::Plane {
             return (place - self.axis * self.axis.dot(&arm), Unit::new_unchecked(self.axis));
         }
-        let along = if self.kind.is_of_line() { self.axis * self.axis.dot(&arm) } else { Vector3::zeros() };
+        let along = if self.kind == Kind::Cylinder { self.axis * self.axis.dot(&arm) } else { Vector3::zeros() };
         let away = Unit::try_new(arm - along, 0.0).unwrap_or(Vector3::z_axis());
         (self.at + along + away.into_inner() * self.radius_m, away)
     }
@@ -68,8 +68,8 @@ impl Core {
                 slopes[0] = -1.0;
                 (0..2).for_each(|k| slopes[1 + k] = self.across[k].dot(&arm));
             }
-            Kind::Sphere | Kind::Corner => (0..3).for_each(|k| slopes[k] = -away[k]),
-            Kind::Cylinder | Kind::Edge => {
+            Kind::Sphere => (0..3).for_each(|k| slopes[k] = -away[k]),
+            Kind::Cylinder => {
                 let along_m = self.axis.dot(&arm);
                 for k in 0..2 {
                     slopes[k] = -away.dot(&self.across[k]);
@@ -88,8 +88,8 @@ impl Core {
         let [a, b] = self.across;
         let (shift, turn) = match self.kind {
             Kind::Plane => (self.axis * step[0], a * step[1] + b * step[2]),
-            Kind::Sphere | Kind::Corner => (Vector3::new(step[0], step[1], step[2]), Vector3::zeros()),
-            Kind::Cylinder | Kind::Edge => (a * step[0] + b * step[1], a * step[2] + b * step[3]),
+            Kind::Sphere => (Vector3::new(step[0], step[1], step[2]), Vector3::zeros()),
+            Kind::Cylinder => (a * step[0] + b * step[1], a * step[2] + b * step[3]),
         };
         let radius_m = if self.kind.has_radius() { self.radius_m + step[self.unknowns() - 1] } else { 0.0 };
         Self::new(self.kind, self.at + shift, self.axis + turn, radius_m)
@@ -101,8 +101,8 @@ impl Core {
         let along = self.axis * self.axis.dot(&arm);
         let at = match self.kind {
             Kind::Plane => place - along,
-            Kind::Cylinder | Kind::Edge => self.at + along,
-            Kind::Sphere | Kind::Corner => self.at,
+            Kind::Cylinder => self.at + along,
+            Kind::Sphere => self.at,
         };
         Self { at, ..self.clone() }
     }
@@ -132,8 +132,8 @@ impl Core {
                 shifts.set_column(0, &self.axis);
                 (0..2).for_each(|k| turns.set_column(1 + k, &self.across[k]));
             }
-            Kind::Sphere | Kind::Corner => (0..3).for_each(|k| shifts[(k, k)] = 1.0),
-            Kind::Cylinder | Kind::Edge => {
+            Kind::Sphere => (0..3).for_each(|k| shifts[(k, k)] = 1.0),
+            Kind::Cylinder => {
                 (0..2).for_each(|k| shifts.set_column(k, &self.across[k]));
                 (0..2).for_each(|k| turns.set_column(2 + k, &self.across[k]));
             }

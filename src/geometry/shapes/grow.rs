@@ -5,7 +5,7 @@ use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::core::{Core, Covariance, Unknowns};
-use super::{Kind, LEAST, Sighting, median, spread};
+use super::{Kind, LEAST, Part, Sighting, median, spread};
 use crate::Point;
 use crate::neighbours::neighbours;
 
@@ -129,8 +129,6 @@ impl<'a> Wall<'a> {
             |radius_m: f64| [along, across].map(|axis| Core::new(kind, behind(radius_m), axis, radius_m)).to_vec();
         match kind {
             Kind::Plane => vec![Core::new(kind, middle, away, 0.0)],
-            Kind::Corner => vec![Core::new(kind, middle, away, 0.0)],
-            Kind::Edge => of_axis(0.0),
             Kind::Sphere => {
                 RADII.map(|share| Core::new(kind, behind(share * distance_m), away, share * distance_m)).to_vec()
             }
@@ -200,7 +198,7 @@ impl<'a> Wall<'a> {
         (0..free.len() as u32).filter(|n| is_in[*n as usize]).collect()
     }
 
-    /// Whether the surface goes on smoothly beyond the members: next to these lie places of the same kind that do not
+    /// Whether the surface goes on smoothly beyond the members: next to these lie smooth places that do not
     /// follow the shape, though their points are near to it. Then it is a piece of a bent surface.
     pub fn goes_on(&self, core: &Core, members: &[u32]) -> bool {
         let mut is_in = vec![false; self.sightings.len()];
@@ -208,7 +206,7 @@ impl<'a> Wall<'a> {
         let mut beyond = 0;
         for next in members.iter().flat_map(|n| self.near[*n as usize].iter().take(NEXT)).map(|n| *n as usize) {
             let one = &self.sightings[next];
-            if !is_in[next] && core.kind.part() == one.part && !follows(core, one) {
+            if !is_in[next] && one.part == Part::Smooth && !follows(core, one) {
                 is_in[next] = true;
                 let gap_m = (core.foot(&one.seen).0 - one.point).norm();
                 beyond += usize::from(gap_m < NEAR * one.light.zone_m);
@@ -240,9 +238,9 @@ fn score(core: &Core, one: &Sighting) -> f64 {
     (one.light.length_m - core.distance_m(&one.seen)) / sd_m(one)
 }
 
-/// Whether length, point and part are those of the shape.
+/// Whether length and point are those of the shape, and the point is known to be smooth.
 fn follows(core: &Core, one: &Sighting) -> bool {
-    if !core.kind.may_be(one.part) || score(core, one).abs() > FOLLOWS {
+    if one.part != Part::Smooth || score(core, one).abs() > FOLLOWS {
         return false;
     }
     let off = core.foot(&one.seen).0 - one.point;

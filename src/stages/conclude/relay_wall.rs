@@ -16,7 +16,7 @@ pub(super) fn decisions(
     let is_extended = searches.iter().any(|search| &*search.verdict == "extended-object");
     if let Some((points, shapes)) = surface.filter(|_| is_extended) {
         decisions.push(points_of_surface(points));
-        decisions.extend(shapes.filter(|_| !points.is_empty()).map(|shapes| told(shapes, points.len())));
+        decisions.extend(shapes.filter(|_| !points.is_empty()).map(|shapes| shapes_of_surface(shapes, points.len())));
     }
     decisions.extend(images.iter().map(image));
     decisions.extend(searches.iter().flat_map(|search| [response(search), gate(search)]));
@@ -66,7 +66,7 @@ fn points_of_surface(points: &[SurfacePoint]) -> Decision {
 }
 
 /// What these points lie on.
-fn told(shapes: &[Shape], points: usize) -> Decision {
+fn shapes_of_surface(shapes: &[Shape], points: usize) -> Decision {
     let named = shapes.iter().take(NAMED).map(|shape| match (shape.radius_m, shape.radius_sd_m) {
         (Some(radius_m), Some(sd_m)) => {
             format!("{} of radius {:.1} ± {:.1} mm", shape.kind, 1e3 * radius_m, 1e3 * sd_m)
@@ -77,8 +77,7 @@ fn told(shapes: &[Shape], points: usize) -> Decision {
     let named = named.chain((more > 0).then(|| format!("{more} more"))).collect::<Vec<_>>().join(", ");
     let on_shapes: i32 = shapes.iter().map(|shape| shape.wall_points).sum();
     if shapes.is_empty() {
-        let evidence =
-            "no plane, sphere, cylinder, straight edge or corner is sure: other kinds or bent surfaces are as likely";
+        let evidence = "no plane, sphere or cylinder is sure: other kinds or bent surfaces are as likely";
         return decision(
             "shapes",
             "none; the points stand for themselves",

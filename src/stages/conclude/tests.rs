@@ -150,10 +150,10 @@ fn shapes_of_a_surface_are_named() {
     };
     let radius = |mm: f64| Some(1e-3 * mm);
     let sphere = Shape { kind: "sphere".into(), radius_m: radius(200.0), radius_sd_m: radius(1.5), ..Shape::default() };
-    let corner = Shape { kind: "corner".into(), wall_points: 30, ..Shape::default() };
-    let row = of(vec![Shape { wall_points: 50, ..sphere }, corner]);
+    let plane = Shape { kind: "plane".into(), wall_points: 30, ..Shape::default() };
+    let row = of(vec![Shape { wall_points: 50, ..sphere }, plane]);
     assert!(
-        row.chosen.starts_with("sphere of radius 200.0 ± 1.5 mm, corner") && row.evidence.contains("80 of 90"),
+        row.chosen.starts_with("sphere of radius 200.0 ± 1.5 mm, plane") && row.evidence.contains("80 of 90"),
         "{row:?}"
     );
     assert!(of(Vec::new()).chosen.starts_with("none"));
