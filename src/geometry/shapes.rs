@@ -1,8 +1,9 @@
 //! What smooth points of hidden surfaces lie on: planes, spheres, cylinders.
 //!
 //! A point of a wall that is lit and seen itself has its first light from the nearest point of a surface. So the length
-//! of first light is the distance to a plane, to a line or to a point less a radius. Shapes are fitted to these lengths,
-//! not to points: lengths are what was measured, and errors of points across the line of sight are many times larger.
+//! of first light is the distance to a plane, to a line or to a point less a radius. Shapes are fitted to these
+//! lengths, not to points: lengths are what was measured, and errors of points across the line of sight are many times
+//! larger.
 //!
 //! | module | does |
 //! |---|---|
@@ -13,8 +14,9 @@
 //! A shape grows from a few neighbouring places by those that it predicts. The one that explains most places is taken
 //! first, then the same with the rest. Its kind is the likeliest one on the places that it explains, by marginal
 //! likelihoods under the full covariance. A shape is told only if its kind is [`SURE`] likelier than any other, if its
-//! lengths are those that their errors allow, if the surface does not go on smoothly where the shape no longer follows it, and if no smooth departure from it is much likelier: bent surfaces
-//! are explained piece by piece by any of these shapes, and are none of them.
+//! lengths are those that their errors allow, if the surface does not go on smoothly where the shape no longer follows
+//! it, and if no smooth departure from it is much likelier: bent surfaces are explained piece by piece by any of these
+//! shapes, and are none of them.
 //!
 //! Source: consensus as in Fischler and Bolles, Commun. ACM 24:381, 1981, from evenly spread starts in place of random
 //! ones; evidence by Laplace's method, MacKay, Neural Comput. 4:415, 1992.
@@ -259,9 +261,9 @@ fn verdict(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Verdict> {
     if gain > 0.0 {
         excess = departure;
     }
-    let mut fits = kinds(wall, core, members, &errors(wall, members, excess)?);
+    let fits = kinds(wall, core, members, &errors(wall, members, excess)?);
     let lead = lead(&fits);
-    let fit = fits.swap_remove(0);
+    let fit = fits.into_iter().next()?;
     (lead > SURE && gain < DEPARTS && is_explained(&fit, members.len())).then_some(Verdict { fit, lead, excess })
 }
 

@@ -11,7 +11,8 @@ table! {
         shape: i32,
         /// plane, sphere or cylinder.
         kind: Name,
-        /// Middle of a sphere; of a plane or an axis the point next to the middle of what is seen of it. x, in the frame of the patches.
+        /// Middle of a sphere; of a plane or an axis the point next to the middle of what is seen of it. x, in the
+        /// frame of the patches.
         x_m: f64,
         /// The same, y.
         y_m: f64,
