@@ -63,7 +63,7 @@ const EXPLAINED: f64 = 3.1;
 /// Least places of a shape.
 pub const LEAST: usize = 24;
 /// Rounds of least squares with the full covariance, and the step in standard deviations, squared, that ends them.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 15;
 const DONE: f64 = 1e-4;
 /// Places among which kinds are told apart, evenly over all.
 const ENOUGH: usize = 600;
@@ -302,19 +302,22 @@ fn errors(wall: &Wall<'_>, members: &[u32], Excess { scatter, departure_m }: Exc
     Errors::new(&wall.members(members), scatter, &functions)
 }
 
-/// Least squares with the full covariance. The prior of shifts and radius is a metre, that of turns a radian.
+/// Least squares with the full covariance. The prior of shifts is a metre, that of turns a radian; that of a radius is a
+/// metre too, about none: a plane is no sphere of many metres.
 fn fit(wall: &Wall<'_>, start: Core, errors: &Errors, members: &[u32]) -> Option<Fit> {
     let mut core = start;
+    let mut step = Step::new(wall, &core, errors, members)?;
     for _ in 0..ROUNDS {
-        let Step { change, gain, inverse, likelihood } = Step::new(wall, &core, errors, members)?;
-        if gain < DONE {
-            let used = core.unknowns();
-            let covariance = Covariance::from_fn(|i, j| if i < used && j < used { inverse[(i, j)] } else { 0.0 });
-            return Some(Fit { core, covariance, likelihood });
+        if step.gain < DONE {
+            break;
         }
-        core = core.moved(&change);
+        core = core.moved(&step.change);
+        step = Step::new(wall, &core, errors, members)?;
     }
-    None
+    let used = core.unknowns();
+    let covariance = Covariance::from_fn(|i, j| if i < used && j < used { step.inverse[(i, j)] } else { 0.0 });
+    // A kind that does not come to rest still stands against the others, with what its next step promises.
+    Some(Fit { core, covariance, likelihood: step.likelihood })
 }
 
 /// A step of least squares.
@@ -331,8 +334,12 @@ struct Step {
 impl Step {
     fn new(wall: &Wall<'_>, core: &Core, errors: &Errors, members: &[u32]) -> Option<Self> {
         let (residuals_m, slopes) = wall.residuals(core, members);
-        let (square, mut information, gradient) = errors.information(&residuals_m, &slopes);
+        let (mut square, mut information, mut gradient) = errors.information(&residuals_m, &slopes);
         (0..UNKNOWNS).for_each(|k| information[(k, k)] += 1.0);
+        if core.kind.has_radius() {
+            square += core.radius_m * core.radius_m;
+            gradient[core.unknowns() - 1] -= core.radius_m;
+        }
         let definite = Definite::new(&information)?;
         let mut step = Mat::from_fn(UNKNOWNS, 1, |k, _| gradient[k]);
         definite.solve(&mut step);
