@@ -302,8 +302,8 @@ fn errors(wall: &Wall<'_>, members: &[u32], Excess { scatter, departure_m }: Exc
     Errors::new(&wall.members(members), scatter, &functions)
 }
 
-/// Least squares with the full covariance. The prior of shifts is a metre, that of turns a radian; that of a radius is a
-/// metre too, about none: a plane is no sphere of many metres.
+/// Least squares with the full covariance. The prior of shifts is a metre, that of turns a radian; that of a radius is
+/// a metre too, about none: a plane is no sphere of many metres.
 fn fit(wall: &Wall<'_>, start: Core, errors: &Errors, members: &[u32]) -> Option<Fit> {
     let mut core = start;
     let mut step = Step::new(wall, &core, errors, members)?;
