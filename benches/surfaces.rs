@@ -59,7 +59,7 @@ fn main() {
         }
     }
     println!(
-        "\n| scene | photons | scans | points on shapes | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|"
+        "\n| scene | photons | scans | points on shapes | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|---|"
     );
     print!("{shapes}");
 }

@@ -17,7 +17,7 @@ use super::whole_file;
 /// Table of all patches, weak ones among them, where a pipeline searches for these.
 const ALL: &str = "all_patches";
 
-/// Table of points of a surface, those of shapes as the shapes say them, where a pipeline looks for these.
+/// Table of points of a surface with the shapes that they lie on, where a pipeline looks for these.
 const ON_SHAPES: &str = "shapes.points";
 
 /// Arguments of `export`.

@@ -51,6 +51,7 @@ use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
 use super::Point;
+use super::axes::Scatter;
 use super::neighbours::neighbours;
 use choice::Choice;
 use dispersion::Dispersion;
@@ -259,14 +260,9 @@ impl<'a> Rounds<'a> {
 /// Unit normal of the plane next to points of a wall, towards the side of `front`; `None` where they lie in a line.
 #[must_use]
 pub fn wall_normal(points: &[Point], front: &Point) -> Option<Vector3<f64>> {
-    let middle = points.iter().map(|point| point.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64;
-    let arms = points.iter().map(|point| point.coords - middle);
-    let eigen = arms.map(|arm| arm * arm.transpose()).sum::<Matrix3<f64>>().symmetric_eigen();
-    let mut squares = eigen.eigenvalues;
-    squares.as_mut_slice().sort_by(f64::total_cmp);
-    let normal: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
-    let normal = if normal.dot(&(front.coords - middle)) < 0.0 { -normal } else { normal };
-    (squares[1] > IN_LINE * squares[2]).then_some(normal)
+    let Scatter { middle, axes: [.., normal], squares_m2: [most, less, _] } = Scatter::of(points);
+    let normal = if normal.dot(&(front - middle)) < 0.0 { -normal } else { normal };
+    (less > IN_LINE * most).then_some(normal)
 }
 
 impl Scan {

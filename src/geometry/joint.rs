@@ -228,9 +228,7 @@ impl Wall {
         let normal: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into();
         let normal = if normal.dot(&(front - middle)) < 0.0 { -normal } else { normal };
         // The axis of the frame that lies best in the plane: the directions do not turn with noise.
-        let axis = Vector3::ith(normal.iamin(), 1.0);
-        let first = (axis - normal * normal.dot(&axis)).normalize();
-        let across = [first, normal.cross(&first)];
+        let across = crate::axes::across(&normal);
         let half_m = across.map(|across| arms().map(|arm| across.dot(&arm).abs()).fold(0.0, f64::max));
         let spans = half_m[0].min(half_m[1]) > IN_LINE * half_m[0].max(half_m[1]);
         spans.then_some(Self { middle, across, normal, half_m })

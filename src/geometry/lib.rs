@@ -99,6 +99,7 @@
 //! rotation or a mirror image, is reported, not guessed.
 
 pub mod association;
+mod axes;
 pub mod bistatic;
 pub mod classical;
 pub mod companion;

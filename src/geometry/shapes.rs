@@ -13,7 +13,7 @@
 //!
 //! A shape grows from a few neighbouring places by those that it predicts. The one that explains most places is taken
 //! first, then the same with the rest. Its kind is the likeliest one on the places that it explains, by marginal
-//! likelihoods under the full covariance. A shape is told only if its kind is [`SURE`] likelier than any other, if its
+//! likelihoods under the full covariance. A shape is told only if its kind is much likelier than any other, if its
 //! lengths are those that their errors allow, if the surface does not go on smoothly where the shape no longer follows
 //! it, and if no smooth departure from it is much likelier: bent surfaces are explained piece by piece by any of these
 //! shapes, and are none of them.
@@ -47,7 +47,7 @@ use errors::{Errors, Smooth};
 use grow::Wall;
 
 /// Logarithm of how much likelier a kind is than the next one.
-pub const SURE: f64 = 3.0;
+const SURE: f64 = 3.0;
 /// Logarithm of how much likelier a smooth departure may be. One that is likelier by less widens the errors.
 const DEPARTS: f64 = 5.0;
 /// Standard deviations of departures that are tried, over the median error of the law.
@@ -61,7 +61,7 @@ const SCATTERS: [f64; 4] = [1.0, 1.4, 2.0, 2.8];
 /// Normal score of chi-square beyond which lengths are not explained: 1 of 1,000.
 const EXPLAINED: f64 = 3.1;
 /// Least places of a shape.
-pub const LEAST: usize = 24;
+const LEAST: usize = 24;
 /// Rounds of least squares with the full covariance, and the step in standard deviations, squared, that ends them.
 const ROUNDS: usize = 15;
 const DONE: f64 = 1e-4;
@@ -80,8 +80,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Plane, Self::Sphere, Self::Cylinder];
+    const ALL: [Self; 3] = [Self::Plane, Self::Sphere, Self::Cylinder];
 
     fn has_radius(self) -> bool {
         self != Self::Plane
@@ -118,19 +117,6 @@ pub struct Shape {
     pub rms_m: f64,
 }
 
-/// A point of a shape as a place of the wall sees it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Foot {
-    /// Position.
-    pub point: Point,
-    /// Its covariance.
-    pub covariance_m2: Matrix3<f64>,
-    /// Unit vector from there to the place: the normal.
-    pub away: Vector3<f64>,
-    /// Its covariance.
-    pub away_covariance: Matrix3<f64>,
-}
-
 impl Shape {
     /// What it is.
     #[must_use]
@@ -162,15 +148,6 @@ impl Shape {
     pub fn covariances(&self) -> [Matrix3<f64>; 2] {
         let (at_m2, axis, _) = self.core.covariances(&self.covariance);
         [at_m2, axis]
-    }
-
-    /// The point that a place sees.
-    #[must_use]
-    pub fn foot(&self, seen: &Point) -> Foot {
-        let (point, away) = self.core.foot(seen);
-        let [covariance_m2, away_covariance] =
-            self.core.foot_slopes(seen).map(|slopes| slopes * self.covariance * slopes.transpose());
-        Foot { point, covariance_m2, away: away.into_inner(), away_covariance }
     }
 }
 

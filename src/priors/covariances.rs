@@ -15,6 +15,11 @@ pub fn of_patch(row: &Patch) -> Option<Matrix3<f64>> {
     Some(Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz))
 }
 
+/// The six numbers of a covariance that rows have: xx, xy, xz, yy, yz, zz.
+pub fn upper(matrix: &Matrix3<f64>) -> [f64; 6] {
+    [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|place: (usize, usize)| matrix[place])
+}
+
 /// Covariance of the positions of patch `a` (rows) and patch `b` (columns), in m^2.
 pub fn between(row: &PatchCovariance) -> Matrix3<f64> {
     Matrix3::new(

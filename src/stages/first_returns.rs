@@ -29,7 +29,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +41,7 @@ use crate::geometry::first_return::{self, Face, Kind, LEAST, Place, Return, Scan
 use crate::parameter::{NonNegative, Positive};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
+use crate::priors::covariances::upper;
 use crate::priors::relay_histograms::{self, Fields, Histogram, Times, Waveforms};
 use crate::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Noise, Rises, STEP, Window};
 use crate::tables::{JointSearch, Patch, SurfacePoint};
@@ -285,9 +286,6 @@ fn scans<'h, 'a>(histograms: &'h [Histogram<'a>]) -> Vec<(Option<Point>, Vec<&'h
 }
 
 fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> SurfacePoint {
-    let upper = |matrix: &Matrix3<f64>| {
-        [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|place: (usize, usize)| matrix[place])
-    };
     let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&point.covariance_m2);
     let [normal_cov_xx, normal_cov_xy, normal_cov_xz, normal_cov_yy, normal_cov_yz, normal_cov_zz] =
         upper(&point.normal_covariance);

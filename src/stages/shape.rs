@@ -2,15 +2,13 @@
 //!
 //! Fitted are the lengths of first light ([`crate::geometry::shapes`]), with the errors that neighbours have in common.
 //! A shape is told only where it is sure: its kind is likelier than any other by a factor of 20, chi-square is one that
-//! errors allow, and no smooth departure is likelier. Slightly bent surfaces have no shape; their points stay as
-//! `first_returns` gave them.
+//! errors allow, the surface does not go on smoothly beyond it, and no smooth departure is much likelier. Slightly bent
+//! surfaces have no shape.
 //!
 //! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `shapes`,
-//! and `points`: all points again, with the shape that they lie on. Captures whose lit and seen points differ are left
-//! out.
+//! and `points`: all points again, with the shape that they lie on. Captures whose lit and seen points differ have none.
 //!
-//! Not modelled: edges and corners, hollow spheres and cylinders, where planes
-//! end, errors of the wall's places.
+//! Not modelled: edges and corners, hollow spheres and cylinders, where planes end, errors of the wall's places.
 //!
 //! ```toml
 //! [shapes]
@@ -33,6 +31,7 @@ use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::geometry::first_return::{FirstLight, Kind as Part};
 use crate::geometry::shapes::{self, Kind, Sighting};
+use crate::priors::covariances::upper;
 use crate::tables::{Patch, Row, Shape, SurfacePoint};
 use crate::units::PatchId;
 
@@ -137,8 +136,4 @@ fn row(number: i32, shape: &shapes::Shape) -> Shape {
         misfit: shape.misfit,
         rms_m: shape.rms_m,
     }
-}
-
-fn upper(matrix: &Matrix3<f64>) -> [f64; 6] {
-    [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|place: (usize, usize)| matrix[place])
 }

@@ -2,8 +2,9 @@
 
 use nalgebra::{Matrix2, Vector3};
 
-use super::local::{Fitted, Local, Sample, Unknowns, frame};
+use super::local::{Fitted, Local, Sample, Unknowns};
 use crate::Point;
+use crate::axes::across;
 
 /// Standard deviation of a curvature before there is light, over one over the length.
 const BEND_SD: f64 = 7.0;
@@ -50,7 +51,7 @@ impl Field {
             at: sample.at,
             length_m: sample.length_m,
             direction,
-            across: frame(&direction),
+            across: across(&direction),
             bend: Matrix2::zeros(),
             round: 0.0,
             fitted: Fitted::none(),

@@ -7,9 +7,10 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::field::Kind;
-use super::local::{Fitted, Local, Sample, Unknowns, frame};
+use super::local::{Fitted, Local, Sample, Unknowns};
 use super::{Face, SurfacePoint};
 use crate::Point;
+use crate::axes::across;
 
 /// Standard deviations of what is thought of a body before there is light: of its edges, in radii of the zone, and of
 /// its turns.
@@ -89,7 +90,7 @@ impl Flat {
         let mean = mean(hints);
         for normal in normals(hints) {
             let normal = if normal.dot(&(at - mean)) < 0.0 { -normal } else { normal };
-            let [x, y] = frame(&normal);
+            let [x, y] = across(&normal);
             for turn in 0..AZIMUTHS {
                 let (sin, cos) = (std::f64::consts::FRAC_PI_2 * turn as f64 / AZIMUTHS as f64).sin_cos();
                 let [a, b] = [x * cos + y * sin, y * cos - x * sin];

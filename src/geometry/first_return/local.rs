@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use crate::Point;
+use crate::axes::across;
 
 /// Eight unknowns; a field that has fewer holds the last ones by their prior.
 pub const UNKNOWNS: usize = 8;
@@ -137,7 +138,7 @@ pub trait Local: Clone + Send + Sync {
     /// Errors of the law over the members: a Gaussian random function over the wall, whose correlation falls as a
     /// Gaussian of `zone_m`, as a sum of waves with random heights; the variance of each height, and its wave.
     fn waves(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> Vec<(f64, Vec<f64>)> {
-        let across = frame(&self.reading(None).1);
+        let across = across(&self.reading(None).1);
         let of_line = |axis: &Vector3<f64>| -> Vec<[f64; 5]> {
             let along = |n: &u32| axis.dot(&(samples[*n as usize].at - self.at())) / zone_m;
             members.iter().map(|n| wave_heights(along(n))).collect()
@@ -192,11 +193,4 @@ pub trait Local: Clone + Send + Sync {
 fn wave_heights(place: f64) -> [f64; 5] {
     let [(sine, cosine), (next_sine, next_cosine)] = FREQUENCIES.map(|frequency| (frequency * place).sin_cos());
     [1.0, cosine, sine, next_cosine, next_sine]
-}
-
-/// Two unit vectors across another.
-pub fn frame(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let axis = Vector3::ith(direction.iamin(), 1.0);
-    let first = (axis - direction * direction.dot(&axis)).normalize();
-    [first, direction.cross(&first)]
 }

@@ -9,8 +9,9 @@ use rayon::prelude::*;
 use super::Scan;
 use super::field::Field;
 use super::flat::{Flat, Hint};
-use super::local::{Local, Sample, frame};
+use super::local::{Local, Sample};
 use crate::Point;
+use crate::axes::across;
 
 /// Places of a window, and the most that are neighbours: half of a window lies on one side.
 pub const SIZES: [usize; 11] = [13, 21, 34, 55, 89, 144, 233, 377, 610, 987, 1600];
@@ -148,7 +149,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
     /// The nearest on a side; side 0 is all around.
     fn nearest(&self, side: usize, size: usize) -> Vec<u32> {
         let here = self.at(self.near[0]).at;
-        let [x, y] = frame(&self.scan.inwards);
+        let [x, y] = across(&self.scan.inwards);
         let angle = (side as f64 - 1.0) * FRAC_PI_4;
         let towards = x * angle.cos() + y * angle.sin();
         let is_there = |n: &u32| side == 0 || towards.dot(&(self.at(*n).at - here)) > -1e-9;

@@ -1,4 +1,5 @@
 use super::*;
+use crate::Point;
 use crate::loss::Loss;
 use crate::{classical, dense, iso_embed, procrustes, room};
 use nalgebra::Vector3;

@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, SMatrix, SVector, Unit, Vector3};
 
 use super::Kind;
 use crate::Point;
+use crate::axes::across;
 
 /// Most unknowns of a shape: those of a cylinder.
 pub const UNKNOWNS: usize = 5;
@@ -27,9 +28,7 @@ pub struct Core {
 impl Core {
     pub fn new(kind: Kind, at: Point, axis: Vector3<f64>, radius_m: f64) -> Self {
         let axis = axis.normalize();
-        let side = Vector3::ith(axis.iamin(), 1.0);
-        let first = (side - axis * axis.dot(&side)).normalize();
-        Self { kind, at, axis, across: [first, axis.cross(&first)], radius_m }
+        Self { kind, at, axis, across: across(&axis), radius_m }
     }
 
     /// Number of unknowns.
@@ -105,23 +104,6 @@ impl Core {
             Kind::Sphere => self.at,
         };
         Self { at, ..self.clone() }
-    }
-
-    /// How foot and direction next to a place move with the unknowns.
-    pub fn foot_slopes(&self, place: &Point) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
-        const STEP: f64 = 1e-6;
-        let mut slopes = [SMatrix::<f64, 3, UNKNOWNS>::zeros(); 2];
-        for k in 0..self.unknowns() {
-            let read = |step: f64| {
-                let mut steps = Unknowns::zeros();
-                steps[k] = step;
-                self.moved(&steps).foot(place)
-            };
-            let ((up, up_away), (down, down_away)) = (read(STEP), read(-STEP));
-            slopes[0].set_column(k, &((up - down) / (2.0 * STEP)));
-            slopes[1].set_column(k, &((up_away.into_inner() - down_away.into_inner()) / (2.0 * STEP)));
-        }
-        slopes
     }
 
     /// Covariances of `at` (across the plane or line), of the axis, and the variance of the radius.

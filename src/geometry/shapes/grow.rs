@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::core::{Core, Covariance, Unknowns};
 use super::{Kind, LEAST, Part, Sighting, median, spread};
 use crate::Point;
+use crate::axes::Scatter;
 use crate::neighbours::neighbours;
 
 /// Nearest places across which a shape grows, itself with them, and those of a start.
@@ -54,7 +55,7 @@ impl<'a> Wall<'a> {
             return None;
         }
         let points: Vec<Point> = sightings.iter().map(|one| one.seen).collect();
-        let (middle, [x, y, _]) = axes(&points);
+        let Scatter { middle, axes: [x, y, _], .. } = Scatter::of(&points);
         let walls = points.iter().map(|point| [x, y].map(|axis| axis.dot(&(point - middle)))).collect();
         Some(Self { sightings, walls, near: neighbours(&points, START, cancel) })
     }
@@ -120,7 +121,7 @@ impl<'a> Wall<'a> {
     pub fn starts(&self, kind: Kind, members: &[u32]) -> Vec<Core> {
         let sightings: Vec<&Sighting> = members.iter().map(|n| &self.sightings[*n as usize]).collect();
         let points: Vec<Point> = sightings.iter().map(|one| one.point).collect();
-        let (middle, [along, _, _]) = axes(&points);
+        let Scatter { middle, axes: [along, ..], .. } = Scatter::of(&points);
         let away: Vector3<f64> = sightings.iter().map(|one| (one.seen - one.point).normalize()).sum();
         let distance_m = median(sightings.iter().map(|one| one.light.length_m).collect());
         let across = along.cross(&away).normalize();
@@ -198,8 +199,8 @@ impl<'a> Wall<'a> {
         (0..free.len() as u32).filter(|n| is_in[*n as usize]).collect()
     }
 
-    /// Whether the surface goes on smoothly beyond the members: next to these lie smooth places that do not
-    /// follow the shape, though their points are near to it. Then it is a piece of a bent surface.
+    /// Whether the surface goes on smoothly beyond the members: next to these lie smooth places that do not follow
+    /// the shape, though their points are near to it. Then it is a piece of a bent surface.
     pub fn goes_on(&self, core: &Core, members: &[u32]) -> bool {
         let mut is_in = vec![false; self.sightings.len()];
         members.iter().for_each(|n| is_in[*n as usize] = true);
@@ -246,14 +247,4 @@ fn follows(core: &Core, one: &Sighting) -> bool {
     let off = core.foot(&one.seen).0 - one.point;
     let covariance_m2 = one.covariance_m2 + Matrix3::identity() * (LOOSE * one.light.zone_m).powi(2);
     covariance_m2.cholesky().is_some_and(|covariance| off.dot(&covariance.solve(&off)) < AT_POINT)
-}
-
-/// The middle of points, and their axes, the longest first.
-fn axes(points: &[Point]) -> (Point, [Vector3<f64>; 3]) {
-    let middle = points.iter().map(|point| point.coords).sum::<Vector3<f64>>() / points.len() as f64;
-    let arms = points.iter().map(|point| point.coords - middle);
-    let eigen = arms.map(|arm| arm * arm.transpose()).sum::<Matrix3<f64>>().symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    (middle.into(), order.map(|k| eigen.eigenvectors.column(k).into_owned()))
 }

@@ -113,11 +113,13 @@ fn planes_err_as_they_say() {
             let shapes = shapes(&all, &Cancel::never());
             let [shape] = shapes.as_slice() else { panic!("{shapes:?}") };
             assert!(shape.kind() == Kind::Plane && shape.members.len() > 60, "{shape:?}");
-            let seen = all[shape.members[shape.members.len() / 3]].seen;
-            let foot = shape.foot(&seen);
-            let off = foot.point - plate(&seen).0;
-            let covariance = foot.covariance_m2.cholesky().expect("three coordinates have errors");
-            off.dot(&covariance.solve(&off)) / 3.0
+            let axis = shape.axis().unwrap();
+            let [at_m2, axis_m2] = shape.covariances();
+            let off_m = axis.z * (shape.at().z - 0.6);
+            let turn = axis.xy();
+            let turn_m2 = axis_m2.fixed_view::<2, 2>(0, 0).into_owned();
+            let turned = turn.dot(&(turn_m2.try_inverse().expect("two turns have errors") * turn));
+            (off_m * off_m / axis.dot(&(at_m2 * axis)) + turned) / 3.0
         })
         .collect();
     let mean = squares.iter().sum::<f64>() / squares.len() as f64;

@@ -1,0 +1,57 @@
+//! Delays that drift through a day.
+
+use super::*;
+
+/// Captures that follow one another through a day, while the delay goes `drift_ps` along a line and half of it along a
+/// wave; with the times of capture or without.
+fn drifting_day(points: &[Point], drift_ps: f64, has_times: bool) -> Vec<Label> {
+    let mut labels = Day::new(points, 11).all(|_, _| true).labels;
+    let count = labels.len() as f64;
+    for (n, label) in labels.iter_mut().enumerate() {
+        let place = n as f64 / count;
+        label.time_ps += drift_ps * (place + 0.5 * (7.0 * place).sin());
+        let minutes = (24.0 * 60.0 * place) as u32;
+        let time = format!("2026-05-12T{:02}:{:02}:00", minutes / 60, minutes % 60);
+        label.acquired_at = has_times.then(|| time.as_str().into());
+    }
+    labels
+}
+
+#[test]
+fn a_delay_that_drifts_is_followed_and_said() {
+    let room = room();
+    let context = context(CAMPAIGN, vec![latency(None, 1.0, 1.0)]);
+    let [with, without] = [true, false].map(|has_times| refined(&context, drifting_day(&room, 20.0, has_times)));
+    let off_m =
+        |rows: &SolutionRows| procrustes::rotation(&points(&rows.patches, 0), &room, Point::origin(), true).rms_m;
+    let stated_m =
+        |rows: &SolutionRows| (rows.patches.iter().map(|patch| patch.sd_m.unwrap().powi(2)).sum::<f64>() / 12.0).sqrt();
+    eprintln!("off by {:.5} m of {:.5}, without times {:.5} m", off_m(&with), stated_m(&with), off_m(&without));
+    assert!(without.fit.drift_ps.is_none() && without.fit.widened[1] > 3.0, "{:?}", without.fit);
+    assert!(
+        with.fit.misfit == 1.0 && with.fit.widened == [1.0; 4] && with.fit.drift_log_likelihood.unwrap() > 20.0,
+        "{:?}",
+        with.fit
+    );
+    assert!((with.fit.drift_span_s.unwrap() / 3600.0 - 24.0).abs() < 0.3);
+    assert!(off_m(&with) < 0.5 * off_m(&without) && off_m(&with) < 2.0 * stated_m(&with));
+    let delay = &with.delays[0];
+    let (values_ps, sds_ps) = (delay.drift_ps.as_ref().unwrap(), delay.drift_sd_ps.as_ref().unwrap());
+    for (knot, (value_ps, sd_ps)) in values_ps.iter().zip(sds_ps).enumerate() {
+        let place = knot as f64 / (values_ps.len() - 1) as f64;
+        let truth_ps = 20.0 * (place + 0.5 * (7.0 * place).sin());
+        assert!(
+            (delay.delay_ps + value_ps - truth_ps).abs() < 4.0 * sd_ps + 0.5,
+            "{knot}: {value_ps} {truth_ps} {sd_ps}"
+        );
+    }
+}
+
+/// Nothing drifts: the times of capture change no row.
+#[test]
+fn times_change_nothing_where_nothing_drifts() {
+    let room = room();
+    let context = context(CAMPAIGN, vec![latency(None, 1.0, 1.0)]);
+    let [with, without] = [true, false].map(|has_times| refined(&context, drifting_day(&room, 0.0, has_times)));
+    assert_eq!((with.patches, with.delays, with.fit), (without.patches, without.delays, without.fit));
+}
