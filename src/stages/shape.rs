@@ -6,7 +6,8 @@
 //! surfaces have no shape.
 //!
 //! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `shapes`,
-//! and `points`: all points again, with the shape that they lie on. Captures whose lit and seen points differ have none.
+//! and `points`: all points again, with the shape that they lie on. Captures whose lit and seen points differ have
+//! none.
 //!
 //! Not modelled: edges and corners, hollow spheres and cylinders, where planes end, errors of the wall's places.
 //!
