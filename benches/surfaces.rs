@@ -3,7 +3,7 @@
 //! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
 //! a fourth number takes scans of so many photons in a mean histogram alone. Names of things take these alone.
 //!
-//! A second table has what `shape` told, with the radii of spheres.
+//! A second table has what `shape` told, with the radii of spheres; a third one the surfaces of `mesh`.
 //!
 //! `cargo bench --bench surfaces -- write FOLDER 1 32 2000 3000` writes such scans as `THING-PHOTONS-SEED.mat`, with
 //! points of the true surface beside each (`.csv`: x, y, z, normal), and runs nothing: for other programs.
@@ -18,7 +18,7 @@ mod relay_scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use first_returns::{Results, Tally, capture, median, results, thing};
+use first_returns::{Nodes, Results, Tally, capture, median, results, thing};
 
 const THINGS: [&str; 6] = ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"];
 const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];
@@ -46,7 +46,7 @@ fn main() {
         "| scene | photons | kind | scans | points | of a farther thing | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
-    let mut shapes = String::new();
+    let (mut shapes, mut meshes) = (String::new(), String::new());
     for kind in things {
         for photons in &photons {
             let of_seed = |seed| results(&thing(kind, seed), &capture(side, seed), *photons);
@@ -56,12 +56,41 @@ fn main() {
                 print(&format!("{kind} | {photons} | {name}"), &of_kind.collect::<Vec<_>>());
             }
             shapes.push_str(&shapes_of(&format!("{kind} | {photons}"), &scans));
+            meshes.push_str(&meshes_of(&format!("{kind} | {photons}"), &scans));
         }
     }
     println!(
         "\n| scene | photons | scans | points on shapes | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|---|"
     );
     print!("{shapes}");
+    println!(
+        "\n| scene | photons | scans with a surface | nodes | 95 % hold (least to most of a scan) | median distance (mm) | 95 % of distances below (mm) | median sd (mm) | median turn of the normal (degrees) |\n|---|---|---|---|---|---|---|---|---|"
+    );
+    print!("{meshes}");
+}
+
+/// Surfaces between points.
+fn meshes_of(name: &str, scans: &[Results]) -> String {
+    let with: Vec<&Nodes> = scans.iter().map(|one| &one.nodes).filter(|nodes| !nodes.errors_m.is_empty()).collect();
+    let begins = format!("| {name} | {} of {}", with.len(), scans.len());
+    if with.is_empty() {
+        return format!("{begins} | 0 | | | | | |\n");
+    }
+    let all = |of: fn(&Nodes) -> &Vec<f64>| -> Vec<f64> { with.iter().flat_map(|one| of(one)).copied().collect() };
+    let mut errors_m = all(|one| &one.errors_m);
+    errors_m.sort_by(f64::total_cmp);
+    let count = errors_m.len();
+    let held: usize = with.iter().map(|one| one.held()).sum();
+    let shares = with.iter().map(|one| one.held() as f64 / one.errors_m.len() as f64);
+    let (least, most) = (shares.clone().fold(1.0, f64::min), shares.fold(0.0, f64::max));
+    format!(
+        "{begins} | {count} | {:.2} ({least:.2} to {most:.2}) | {:.2} | {:.1} | {:.2} | {:.2} |\n",
+        held as f64 / count as f64,
+        1e3 * median(&errors_m),
+        1e3 * errors_m[count * 95 / 100],
+        1e3 * median(&all(|one| &one.sds_m)),
+        median(&all(|one| &one.angles_rad)).to_degrees(),
+    )
 }
 
 /// Shapes that were told, and radii of spheres: those of the study have 0.2 m, or 0.12 m beside a plate.

@@ -9,7 +9,7 @@ use periscope::campaign::Campaign;
 use periscope::exchange::{self, ply};
 use periscope::formats::npy;
 use periscope::store::Shelf;
-use periscope::tables::{Echo, Image, Patch, Row, SurfacePoint, VolumeRow};
+use periscope::tables::{Echo, Image, Patch, Row, SurfacePoint, Vertex, VolumeRow};
 
 use super::output::say;
 use super::whole_file;
@@ -26,10 +26,10 @@ const ON_SHAPES: &str = "shapes.points";
 pub struct Export {
     /// Result folder
     results: PathBuf,
-    /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface; where there are
-    /// no patches but echoes of a lidar, or with --echoes: these), .hdf5 for the
+    /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface; --mesh: the
+    /// surface between them; where there are no patches but echoes of a lidar, or with --echoes: these), .hdf5 for the
     /// profiles as a capture of y-tal (--volume: the volume of an image), .npy for the volume of an image
-    /// (--surface-points: the points of a surface)
+    /// (--surface-points, --mesh: the points, the nodes)
     file: PathBuf,
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]
@@ -38,6 +38,10 @@ pub struct Export {
     /// there is one, else `surface`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "")]
     surface_points: Option<String>,
+    /// .ply, .npy: the nodes of hidden surfaces from this table, .ply with the faces between them [default:
+    /// `meshes.vertices`]
+    #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "meshes.vertices", conflicts_with = "surface_points")]
+    mesh: Option<String>,
     /// .ply: echoes of a lidar from this table, in place of patches [default: `echoes`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "echoes")]
     echoes: Option<String>,
@@ -80,6 +84,18 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             let shape = [points.len() as u64, (values.len() / points.len()) as u64];
             whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
             say!("{}: {} points, {} numbers each", args.file.display(), shape[0], shape[1])?;
+        }
+        Some("ply") if let Some(view) = &args.mesh => {
+            let vertices = vertices(&shelf, args, view)?;
+            let faces = whole_file::write(&args.file, |out| ply::write_mesh(out, &vertices))?;
+            say!("{}: {} nodes, {faces} faces", args.file.display(), vertices.len())?;
+        }
+        Some("npy") if let Some(view) = &args.mesh => {
+            let vertices = vertices(&shelf, args, view)?;
+            let values: Vec<f64> = vertices.iter().flat_map(ply::mesh_numbers).collect();
+            let shape = [vertices.len() as u64, (values.len() / vertices.len()) as u64];
+            whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
+            say!("{}: {} nodes, {} numbers each", args.file.display(), shape[0], shape[1])?;
         }
         Some("ply") if let Some(view) = &echoes_view => write_echoes(&shelf, args, view)?,
         Some("ply") => {
@@ -157,6 +173,18 @@ fn surface(shelf: &Shelf, args: &Export) -> Result<Vec<SurfacePoint>> {
         bail!("`{view}` of {results} has no points: `rejects` and `decisions` of the same folder say why");
     }
     Ok(points)
+}
+
+/// Nodes of hidden surfaces: at least one.
+fn vertices(shelf: &Shelf, args: &Export, view: &str) -> Result<Vec<Vertex>> {
+    let vertices: Vec<Vertex> = rows(shelf, view)?;
+    if vertices.is_empty() {
+        let results = args.results.display();
+        bail!(
+            "`{view}` of {results} has no nodes: no smooth surface explains first light; --surface-points has its points"
+        );
+    }
+    Ok(vertices)
 }
 
 /// The rows of the volume in order: at least one.

@@ -1,4 +1,4 @@
-//! Patches and points of surfaces as a point cloud: PLY, the format of MeshLab, CloudCompare and Open3D.
+//! Patches, points of surfaces and surfaces between them: PLY, the format of MeshLab, CloudCompare and Open3D.
 //!
 //! Patches: one vertex for each patch of the best solution: place in metres, a colour for the eye (visible grey,
 //! hidden orange, mirror blue), number, kind (0, 1, 2). Then the standard deviation and the six numbers of the
@@ -9,12 +9,17 @@
 //! 2 corner, 3 unknown), then standard deviation and covariance, standard deviation of the normal, and number of the
 //! shape that it lies on (0: none).
 //!
+//! Surfaces: their nodes with place, normal, a colour by the standard deviation as above, number of the mesh, standard
+//! deviation along the normal and of the normal's direction; and triangles between neighbouring nodes, whose corners
+//! turn as the normal does.
+//!
 //! Echoes of a lidar: place in the frame of the file, standard deviation along the beam, height, width and its standard
 //! deviation, number of the echo and of the echoes of its pulse, GPS time.
 
+use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use crate::tables::{Echo, Patch, SurfacePoint};
+use crate::tables::{Echo, Patch, SurfacePoint, Vertex};
 
 /// Kinds of patches by their numbers, with the colour of each.
 const KINDS: [(&str, [u8; 3]); 3] =
@@ -68,20 +73,15 @@ pub fn write_surface(out: &mut impl Write, points: &[SurfacePoint]) -> io::Resul
     writeln!(out, "property int lit\nproperty int seen\nproperty uchar kind\nproperty double sd_m")?;
     ["xx", "xy", "xz", "yy", "yz", "zz"].iter().try_for_each(|pair| writeln!(out, "property double cov_{pair}_m2"))?;
     writeln!(out, "property double normal_sd_rad\nproperty int shape\nend_header")?;
-    let mut sds_m: Vec<f64> = points.iter().map(|point| point.sd_m).collect();
-    sds_m.sort_by(f64::total_cmp);
-    let median_m = sds_m.get(sds_m.len() / 2).copied().unwrap_or(1.0);
+    let colour = colours(points.iter().map(|point| point.sd_m).collect());
     for point in points {
         let kind = SURFACE_KINDS.iter().position(|kind| **kind == *point.kind).unwrap_or(3);
-        let red = (127.5 * point.sd_m / median_m).min(255.0) as u8;
+        let [red, green, blue] = colour(point.sd_m);
         let [x, y, z, nx, ny, nz] = [point.x_m, point.y_m, point.z_m, point.normal_x, point.normal_y, point.normal_z];
         write!(
             out,
-            "{x} {y} {z} {nx} {ny} {nz} {red} 60 {} {} {} {kind} {:e}",
-            255 - red,
-            point.lit,
-            point.seen,
-            point.sd_m
+            "{x} {y} {z} {nx} {ny} {nz} {red} {green} {blue} {} {} {kind} {:e}",
+            point.lit, point.seen, point.sd_m
         )?;
         for value in covariance_m2(point) {
             write!(out, " {value:e}")?;
@@ -90,6 +90,74 @@ pub fn write_surface(out: &mut impl Write, points: &[SurfacePoint]) -> io::Resul
         writeln!(out, " {normal_sd_rad:e} {}", point.shape.unwrap_or(0))?;
     }
     Ok(())
+}
+
+/// The colour of a standard deviation among these.
+fn colours(mut sds_m: Vec<f64>) -> impl Fn(f64) -> [u8; 3] {
+    sds_m.sort_by(f64::total_cmp);
+    let median_m = sds_m.get(sds_m.len() / 2).copied().unwrap_or(1.0);
+    move |sd_m| {
+        let red = (127.5 * sd_m / median_m).min(255.0) as u8;
+        [red, 60, 255 - red]
+    }
+}
+
+/// Writes surfaces; says how many faces.
+///
+/// # Errors
+/// When `out` cannot be written.
+pub fn write_mesh(out: &mut impl Write, vertices: &[Vertex]) -> io::Result<usize> {
+    let faces = faces(vertices);
+    writeln!(
+        out,
+        "ply\nformat ascii 1.0\ncomment surfaces from first light; lengths in metres, sd_m along the normal"
+    )?;
+    writeln!(out, "element vertex {}", vertices.len())?;
+    ["x", "y", "z", "nx", "ny", "nz"].iter().try_for_each(|name| writeln!(out, "property double {name}"))?;
+    ["red", "green", "blue"].iter().try_for_each(|name| writeln!(out, "property uchar {name}"))?;
+    writeln!(out, "property int mesh\nproperty double sd_m\nproperty double normal_sd_rad")?;
+    writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", faces.len())?;
+    let colour = colours(vertices.iter().map(|vertex| vertex.sd_m).collect());
+    for vertex in vertices {
+        let Vertex { x_m, y_m, z_m, normal_x, normal_y, normal_z, sd_m, normal_sd_rad, mesh, .. } = vertex;
+        let [red, green, blue] = colour(*sd_m);
+        write!(out, "{x_m} {y_m} {z_m} {normal_x} {normal_y} {normal_z} {red} {green} {blue} ")?;
+        writeln!(out, "{mesh} {sd_m:e} {normal_sd_rad:e}")?;
+    }
+    faces.iter().try_for_each(|[a, b, c]| writeln!(out, "3 {a} {b} {c}"))?;
+    Ok(faces.len())
+}
+
+/// Triangles between neighbouring nodes: two where four nodes are there, one where three are. Columns and rows turn into
+/// the normal as x and y turn into z.
+#[must_use]
+pub fn faces(vertices: &[Vertex]) -> Vec<[usize; 3]> {
+    let place = |vertex: &Vertex| (vertex.mesh, vertex.grid_row, vertex.grid_column);
+    let numbers: BTreeMap<_, usize> = vertices.iter().enumerate().map(|(n, vertex)| (place(vertex), n)).collect();
+    let cells: std::collections::BTreeSet<_> = numbers
+        .keys()
+        .flat_map(|(mesh, row, column)| [0, 1].map(|up| [0, 1].map(|right| (*mesh, row - up, column - right))))
+        .flatten()
+        .collect();
+    let mut faces = Vec::new();
+    for (mesh, row, column) in cells {
+        let at = |right: i32, up: i32| numbers.get(&(mesh, row + up, column + right)).copied();
+        // Around the cell.
+        let corners = [at(0, 0), at(1, 0), at(1, 1), at(0, 1)];
+        match corners.iter().flatten().copied().collect::<Vec<usize>>()[..] {
+            [a, b, c, d] => faces.extend([[a, b, c], [a, c, d]]),
+            [a, b, c] => faces.push([a, b, c]),
+            _ => {}
+        }
+    }
+    faces
+}
+
+/// Numbers of a node in a row of an array: place, normal, standard deviations along the normal and of its direction.
+#[must_use]
+pub fn mesh_numbers(vertex: &Vertex) -> [f64; 8] {
+    let Vertex { x_m, y_m, z_m, normal_x, normal_y, normal_z, sd_m, normal_sd_rad, .. } = *vertex;
+    [x_m, y_m, z_m, normal_x, normal_y, normal_z, sd_m, normal_sd_rad]
 }
 
 /// Writes echoes of a lidar.

@@ -77,6 +77,7 @@
 //! | [`joint`] | small hidden things from all photon histograms of a wall together |
 //! | [`first_return`] | points of hidden surfaces, with normals, from the first light at each point of a wall |
 //! | [`shapes`] | planes, spheres and cylinders that such points lie on |
+//! | [`height_field`] | the surface between such points, with its error bars |
 //! | [`mirror`], [`bistatic`] | scenes behind a diffuser, source and sensor apart |
 //! | [`companion`] | light of other paths that an onset does not resolve |
 //! | [`planes`], [`frame`], [`procrustes`], [`ellipsoid`], [`footprint`] | what positions say, and in which frame |
@@ -100,6 +101,7 @@
 
 pub mod association;
 mod axes;
+mod band;
 pub mod bistatic;
 pub mod classical;
 pub mod companion;
@@ -113,6 +115,7 @@ pub mod faint;
 pub mod first_return;
 pub mod footprint;
 pub mod frame;
+pub mod height_field;
 pub mod hidden;
 pub mod iso_embed;
 pub mod joint;
@@ -135,6 +138,7 @@ pub mod smacof;
 pub mod t2;
 pub mod t3;
 pub mod units;
+mod waves;
 
 pub use failure::Error;
 pub use periscope_cancel::Cancel;

@@ -38,6 +38,7 @@ pub mod stages {
         embed = "stages/embed.md";
         first_returns = "stages/first_returns.md";
         shape = "stages/shape.md";
+        mesh = "stages/mesh.md";
         image = "stages/image.md";
         import = "stages/import.md";
         ingest = "stages/ingest.md";

@@ -12,3 +12,4 @@ pub mod footprints;
 pub mod relay_histograms;
 pub mod scenes;
 pub mod sensor_range;
+pub mod sightings;

@@ -11,7 +11,8 @@ use crate::campaign::keys::LASER;
 use crate::geometry::ellipsoid::semi_axes_m;
 use crate::history::HistoryError;
 use crate::tables::{
-    Ambiguity, Decision, Fit, Gap, Hypothesis, JointSearch, Patch, PatchFootprint, Plane, Shape, SurfacePoint, Suspect,
+    Ambiguity, Decision, Fit, Gap, Hypothesis, JointSearch, Mesh, Patch, PatchFootprint, Plane, Shape, SurfacePoint,
+    Suspect, Vertex,
 };
 
 /// Paths drawn at most.
@@ -98,6 +99,9 @@ pub struct Scene {
     pub surface_points: usize,
     /// What they lie on.
     pub shapes: Vec<Shape>,
+    /// Surfaces between them, and the nodes of these.
+    pub meshes: Vec<Mesh>,
+    pub vertices: Vec<Vertex>,
     /// Factor by which ellipsoids are drawn larger.
     pub ellipsoid_factor: f64,
 }
@@ -154,6 +158,8 @@ impl Scene {
             walls: sources.last_rows(|place: &Hypothesis| &*place.kind == "plane" && place.alternative == 0)?,
             surface_points: surface.len(),
             shapes: sources.rows(|_: &Shape| true)?,
+            meshes: sources.rows(|_: &Mesh| true)?,
+            vertices: sources.rows(|_: &Vertex| true)?,
             surface: spread(&surface, SURFACE_POINTS),
             patches,
         }))

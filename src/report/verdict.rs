@@ -137,6 +137,10 @@ fn of_scene(scene: &Scene) -> Vec<(Word, String)> {
     {
         remarks.push((Word::NothingFound, "no patch has a position".to_owned()));
     }
+    if remarks.is_empty() && !scene.surface.is_empty() && !scene.decisions.is_empty() {
+        let text = "surface: neither a shape nor a mesh explains first light, so that nothing checks its points";
+        remarks.push((Word::Unchecked, text.to_owned()));
+    }
     if remarks.is_empty() {
         let chi2_dof = scene.patches.iter().find_map(|placed| placed.patch.chi2_dof);
         let chi2_dof = chi2_dof.map_or(String::new(), |chi2_dof| {
@@ -154,6 +158,8 @@ fn of_decision(row: &Decision) -> Option<(Word, String)> {
         "fit" | "waveforms" if begins("not explained") => Word::NotExplained,
         "fit" if begins("explained but") => Word::ExplainedInPart,
         "fit" if begins("unchecked") || begins("anchors as given") => Word::Unchecked,
+        "surface" if begins("no surface") => Word::NothingFound,
+        "shapes" | "meshes" if !begins("none") => Word::Explained,
         "hidden things" if begins("nothing") || begins("cannot be told") => Word::NothingFound,
         "fit" | "waveforms" | "hidden things" => Word::Explained,
         what if what.starts_with("response of ") && !begins("as wide as calibrated") => Word::ExplainedInPart,
@@ -219,5 +225,8 @@ mod tests {
         assert_eq!(word("response of s1", "pulses are 9.0 % wider"), Some(Word::ExplainedInPart));
         assert_eq!(word("response of s1", "as wide as calibrated"), None);
         assert_eq!(word("labels", "3 of 4 pulses have a path"), None);
+        assert_eq!(word("surface", "no surface: first light does not agree"), Some(Word::NothingFound));
+        assert_eq!(word("meshes", "1 surface in `meshes`"), Some(Word::Explained));
+        assert_eq!((word("meshes", "none"), word("surface", "90 points of a surface")), (None, None));
     }
 }

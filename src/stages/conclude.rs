@@ -23,14 +23,15 @@
 //! | hidden things, response, gate | `searches`: the verdict of `locate` |
 //! | image | `images`: how far the brightest voxel exceeds noise |
 //! | surface | `surface`: the points of `first_returns`, where light is that of an extended object |
+//! | shapes, meshes | `shapes`, `meshes`: what these points lie on, and the surface between them |
 //!
 //! A fit whose residuals are larger than chance makes them is `not explained`: `refine` has then made all standard
 //! deviations larger (`fits.misfit`), and the first row says by how much.
 //!
 //! Takes `patches`; writes `decisions`. Beside it, of a solution from onsets: `fits`, `ambiguities` and `footprints`
 //! (of the same `refine`), `labels` and `onsets`, `hypotheses` and `scenes` (of the same `label`), `weak` (of `search`)
-//! and `planes`. Of a relay wall: `searches` (of `locate`), `images` (of `image`) and `surface` (of
-//! `first_returns`). One of `fits` and `searches` is needed.
+//! and `planes`. Of a relay wall: `searches` (of `locate`), `images` (of `image`), `surface` (of
+//! `first_returns`), `shapes` and `meshes`. One of `fits`, `searches` and `surface` is needed.
 //!
 //! ```toml
 //! [decisions]
@@ -57,8 +58,8 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::Campaign;
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
-    Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Name, ONSET_KINDS, Onset, Patch, PatchFootprint,
-    Plane, SceneOdds, Shape, SurfacePoint,
+    Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Mesh, Name, ONSET_KINDS, Onset, Patch,
+    PatchFootprint, Plane, SceneOdds, Shape, SurfacePoint,
 };
 
 /// Bounces of the last light that all rooms show.
@@ -90,11 +91,13 @@ pub struct Context {
     surface: Option<Vec<SurfacePoint>>,
     /// Of `shape`; `None` where it did not run.
     shapes: Option<Vec<Shape>>,
+    /// Of `mesh`; `None` where it did not run.
+    meshes: Option<Vec<Mesh>>,
 }
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -110,6 +113,7 @@ impl Stage for Conclude {
         Beside { name: "images", table: "images", required: false },
         Beside { name: "surface", table: "surface_points", required: false },
         Beside { name: "shapes", table: "shapes", required: false },
+        Beside { name: "meshes", table: "meshes", required: false },
     ];
     type Input = Patch;
     type Output = Decision;
@@ -121,8 +125,10 @@ impl Stage for Conclude {
     fn context(&self, (): (), beside: &BesideTables) -> Result<Context, StageError> {
         let fits = beside.rows("fits")?;
         let searches = beside.rows("searches")?;
-        if fits.is_none() && searches.is_none() {
-            let text = "needs `fits` of `refine`, or `searches` of `locate`: give one in `with`";
+        let surface = beside.rows("surface")?;
+        if fits.is_none() && searches.is_none() && surface.is_none() {
+            let text =
+                "needs `fits` of `refine`, `searches` of `locate` or `surface` of `first_returns`: give one in `with`";
             return Err(StageError::Refused(text.to_owned()));
         }
         Ok(Context {
@@ -138,8 +144,9 @@ impl Stage for Conclude {
             weak: beside.rows("weak")?,
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
-            surface: beside.rows("surface")?,
+            surface,
             shapes: beside.rows("shapes")?,
+            meshes: beside.rows("meshes")?,
         })
     }
 }
@@ -151,7 +158,10 @@ impl Apply for Conclude {
             return Ok(Outcome::rows(Vec::new()));
         }
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
-        let surface = context.surface.as_deref().map(|points| (points, context.shapes.as_deref()));
+        let surface = context.surface.as_deref().map(|points| {
+            let (shapes, meshes) = (context.shapes.as_deref(), context.meshes.as_deref());
+            relay_wall::Surface { points, shapes, meshes }
+        });
         let mut decisions = relay_wall::decisions(&context.searches, &context.images, surface);
         if context.is_from_onsets {
             decisions.extend(context.onset_decisions(&best));

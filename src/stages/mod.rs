@@ -16,6 +16,7 @@ pub mod ingest;
 pub mod label;
 pub mod locate;
 pub mod measure;
+pub mod mesh;
 mod method;
 pub mod operator;
 pub mod range;
@@ -110,7 +111,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 26] = [
+pub const KINDS: [&str; 27] = [
     "ingest",
     "ingest_pulses",
     "anchor",
@@ -133,6 +134,7 @@ pub const KINDS: [&str; 26] = [
     "locate",
     "first_returns",
     "shape",
+    "mesh",
     "surface",
     "triangulate",
     "conclude",
@@ -178,6 +180,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "locate" => operator::<locate::Locate>(params),
         "first_returns" => operator::<first_returns::FirstReturns>(params),
         "shape" => operator::<shape::FitShapes>(params),
+        "mesh" => operator::<mesh::FitMeshes>(params),
         "surface" => operator::<surface::Surface>(params),
         "triangulate" => operator::<triangulate::Triangulate>(params),
         "conclude" => operator::<conclude::Conclude>(params),

@@ -21,20 +21,15 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
-
-use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
-use crate::geometry::Point;
-use crate::geometry::first_return::{FirstLight, Kind as Part};
 use crate::geometry::shapes::{self, Kind, Sighting};
 use crate::priors::covariances::upper;
+use crate::priors::sightings::Walls;
 use crate::tables::{Patch, Row, Shape, SurfacePoint};
-use crate::units::PatchId;
 
 /// `shape` has no parameters: what is not sure is not told.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
@@ -43,7 +38,7 @@ pub struct FitShapes {}
 
 /// Points of the wall.
 pub struct Context {
-    walls: BTreeMap<PatchId, Point>,
+    walls: Walls,
     cancel: Cancel,
 }
 
@@ -62,16 +57,13 @@ impl Stage for FitShapes {
 
     fn context(&self, (): (), beside: &BesideTables) -> Result<Context, StageError> {
         let patches: Vec<Patch> = beside.rows("patches")?.unwrap_or_default();
-        let best = patches.iter().filter(|patch| patch.alternative == 0);
-        let walls = best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect();
-        Ok(Context { walls, cancel: beside.cancel.clone() })
+        Ok(Context { walls: Walls::new(&patches), cancel: beside.cancel.clone() })
     }
 }
 
 impl Apply for FitShapes {
     fn apply(&self, context: &Context, mut group: Vec<SurfacePoint>) -> Result<Outcome<Shape>, StageError> {
-        let sighted: Vec<(usize, Sighting)> =
-            group.iter().enumerate().filter_map(|(n, point)| Some((n, sighting(point, &context.walls)?))).collect();
+        let sighted = context.walls.sightings(&group);
         let sightings: Vec<Sighting> = sighted.iter().map(|(_, sighting)| *sighting).collect();
         let shapes = shapes::shapes(&sightings, &context.cancel);
         for (number, shape) in shapes.iter().enumerate() {
@@ -80,28 +72,6 @@ impl Apply for FitShapes {
         let rows = shapes.iter().enumerate().map(|(number, shape)| row(number as i32 + 1, shape)).collect();
         Ok(Outcome { rows, sides: vec![SurfacePoint::to_batch(&group)], rejections: Vec::new() })
     }
-}
-
-/// First light at a point of the wall; `None` where it is not lit itself, or has no place.
-fn sighting(point: &SurfacePoint, walls: &BTreeMap<PatchId, Point>) -> Option<Sighting> {
-    let seen = *walls.get(&point.seen).filter(|_| point.lit == point.seen)?;
-    let light = FirstLight {
-        length_m: point.light_m,
-        sd_m: point.light_sd_m,
-        law_m: point.light_law_sd_m,
-        zone_m: point.light_zone_m,
-        common_m: point.light_common_sd_m,
-    };
-    let [xx, xy, xz] = [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2];
-    let [yy, yz, zz] = [point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2];
-    let part = match &*point.kind {
-        "smooth" => Part::Smooth,
-        "edge" => Part::Edge,
-        "corner" => Part::Corner,
-        _ => Part::Unknown,
-    };
-    let covariance_m2 = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-    Some(Sighting { seen, light, point: Point::new(point.x_m, point.y_m, point.z_m), covariance_m2, part })
 }
 
 fn row(number: i32, shape: &shapes::Shape) -> Shape {

@@ -28,6 +28,8 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "searches" => &["verdict"],
         "surface_points" => &["lit", "seen"],
         "shapes" => &["shape"],
+        "meshes" => &["mesh"],
+        "vertices" => &["mesh", "grid_row", "grid_column"],
         "decisions" => &["decision"],
         "stations" => &["campaign", "station"],
         "fits" | "scenes" => &["alternative"],

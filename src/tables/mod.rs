@@ -12,6 +12,7 @@ pub mod hypotheses;
 pub mod keys;
 pub mod labels;
 pub mod measurements;
+pub mod meshes;
 pub mod onsets;
 pub mod patches;
 pub mod planes;
@@ -44,6 +45,7 @@ pub use hypotheses::Hypothesis;
 pub use keys::key_of;
 pub use labels::Label;
 pub use measurements::Measurement;
+pub use meshes::{Mesh, Vertex};
 pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
 pub use planes::{PatchFootprint, Plane};
@@ -94,6 +96,8 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<JointSearch>(),
         of::<SurfacePoint>(),
         of::<Shape>(),
+        of::<Mesh>(),
+        of::<Vertex>(),
         of::<Distance>(),
         of::<Covariance>(),
         of::<Patch>(),

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use periscope::store::Shelf;
-use periscope::tables::{Patch, Row, Shape, SurfacePoint};
+use periscope::tables::{Patch, Row, Shape, SurfacePoint, Vertex};
 
 use crate::relay_scene::{Capture, FWHM_PS, periscope, response};
 
@@ -210,6 +210,41 @@ pub struct Results {
     /// Points that lie on a shape.
     pub on_shapes: usize,
     pub shapes: Vec<Shape>,
+    /// Nodes of the surfaces between points.
+    pub nodes: Nodes,
+}
+
+/// What came of the nodes of surfaces.
+#[derive(Clone, Debug, Default)]
+pub struct Nodes {
+    /// Distances from the thing, stated standard deviations, and the least angles between the normal and one of the
+    /// thing.
+    pub errors_m: Vec<f64>,
+    pub sds_m: Vec<f64>,
+    pub angles_rad: Vec<f64>,
+}
+
+impl Nodes {
+    fn new(thing: &Thing, vertices: &[Vertex]) -> Self {
+        let mut nodes = Self::default();
+        for vertex in vertices {
+            let place = Point::new(vertex.x_m, vertex.y_m, vertex.z_m);
+            let off_m = |near: &(Point, usize)| (near.0 - place).norm();
+            let error_m = (thing.nearest)(&place).iter().map(off_m).fold(f64::INFINITY, f64::min);
+            let far_m2 = |facet: &&(Point, Vector3<f64>, f64)| (facet.0 - place).norm_squared();
+            let facet = thing.facets.iter().min_by(|a, b| far_m2(a).total_cmp(&far_m2(b))).expect("a thing");
+            let angle_rad = facet.1.angle(&Vector3::new(vertex.normal_x, vertex.normal_y, vertex.normal_z));
+            nodes.errors_m.push(error_m);
+            nodes.sds_m.push(vertex.sd_m);
+            nodes.angles_rad.push(angle_rad.min(std::f64::consts::PI - angle_rad));
+        }
+        nodes
+    }
+
+    /// How many lie within 1.96 standard deviations of the thing.
+    pub fn held(&self) -> usize {
+        self.errors_m.iter().zip(&self.sds_m).filter(|(error_m, sd_m)| **error_m < 1.96 * **sd_m).count()
+    }
 }
 
 /// A campaign from its files to its points.
@@ -223,6 +258,7 @@ pub fn results(thing: &Thing, capture: &Capture, photons: f64) -> Results {
         points: tallies(thing, &anchors, &points),
         on_shapes: points.iter().filter(|point| point.shape.is_some()).count(),
         shapes: rows(folder.path(), "out", "shapes"),
+        nodes: Nodes::new(thing, &rows::<Vertex>(folder.path(), "out", "meshes.vertices")),
     }
 }
 
@@ -281,6 +317,7 @@ pub fn median(values: &[f64]) -> f64 {
 #[test]
 fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
     let sphere = results(&thing("sphere", 1), &capture(32, 1), 3000.0);
+    hold("sphere", &sphere.nodes, 1e-3);
     let [smooth, ..] = sphere.points;
     println!("sphere: {} of {}, {} m", smooth.held, smooth.points, median(&smooth.errors_m));
     assert!(smooth.points > 900 && smooth.held * 100 > 90 * smooth.points);
@@ -288,7 +325,8 @@ fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
     let [shape] = sphere.shapes.as_slice() else { panic!("{:?}", sphere.shapes) };
     let [radius_m, sd_m] = [shape.radius_m, shape.radius_sd_m].map(Option::unwrap);
     assert!(*shape.kind == *"sphere" && (radius_m - 0.2).abs() < 3.0 * sd_m && sd_m < 3e-3, "{shape:?}");
-    let Results { points: plate, on_shapes, shapes } = results(&thing("plate", 1), &capture(32, 1), 3000.0);
+    let Results { points: plate, on_shapes, shapes, nodes } = results(&thing("plate", 1), &capture(32, 1), 3000.0);
+    hold("plate", &nodes, 1e-3);
     let [points, held] = [plate.iter().map(|one| one.points).sum::<usize>(), plate.iter().map(|one| one.held).sum()];
     println!("plate: {held} of {points}, {:?} m", plate.each_ref().map(|one| median(&one.errors_m)));
     assert!(points > 700 && held * 100 > 90 * points);
@@ -300,11 +338,29 @@ fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
 /// Lengths to a wave are nearly those to flat faces with a larger error of their law.
 #[test]
 fn a_wavy_surface_is_no_flat_face() {
-    let Results { points: wavy, shapes, .. } = results(&thing("wavy", 2000), &capture(32, 2000), 3000.0);
+    let Results { points: wavy, shapes, nodes, .. } = results(&thing("wavy", 2000), &capture(32, 2000), 3000.0);
     assert!(shapes.is_empty(), "{shapes:?}");
+    hold("wavy", &nodes, 3e-3);
     let [points, held] = [wavy.iter().map(|one| one.points).sum::<usize>(), wavy.iter().map(|one| one.held).sum()];
     println!("wavy: {held} of {points}, {:?} m", wavy.each_ref().map(|one| median(&one.errors_m)));
     assert!(points > 700 && held * 100 > 90 * points);
+}
+
+/// Nodes of a surface: some, within their error bars, and no farther from it in the median than this.
+fn hold(name: &str, nodes: &Nodes, most_m: f64) {
+    let (count, held, median_m) = (nodes.errors_m.len(), nodes.held(), median(&nodes.errors_m));
+    println!("{name}: {held} of {count} nodes, {median_m} m, {} rad", median(&nodes.angles_rad));
+    assert!(count > 60 && held * 100 > 90 * count && median_m < most_m, "{name}: {held} of {count}, {median_m} m");
+}
+
+/// Points of a hollow surface err by centimetres along it; the surface between them does not.
+#[test]
+fn a_saddle_has_a_surface_and_a_box_has_none() {
+    let Results { points, nodes, .. } = results(&thing("saddle", 2001), &capture(32, 2001), 3000.0);
+    hold("saddle", &nodes, 1.5e-3);
+    assert!(median(&points[0].errors_m) > 1e-2, "points of a saddle are better than they were: {:?}", points[0]);
+    let Results { nodes, .. } = results(&thing("box", 2000), &capture(32, 2000), 3000.0);
+    assert!(nodes.errors_m.is_empty(), "{} nodes", nodes.errors_m.len());
 }
 
 #[test]
@@ -315,7 +371,8 @@ fn one_thread_and_two_give_the_same_points() {
         let run = ["run", "first-returns", "--campaign", "campaign", "--out", threads, "--threads", threads];
         periscope(folder.path(), &run);
         let shapes: Vec<Shape> = rows(folder.path(), threads, "shapes");
-        (rows::<SurfacePoint>(folder.path(), threads, "shapes.points"), shapes)
+        let nodes: Vec<Vertex> = rows(folder.path(), threads, "meshes.vertices");
+        (rows::<SurfacePoint>(folder.path(), threads, "shapes.points"), shapes, nodes)
     });
     assert!(one.0.len() > 200 && one == two, "{} and {} points", one.0.len(), two.0.len());
 }

@@ -41,10 +41,10 @@ fn a_letter_is_an_extended_object_with_an_image() {
     let output = run(folder.path(), &["--set", "voxels.volume=true"]);
     let (said, warned) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     assert!(warned.contains("pipeline locate: campaign.toml has a relay wall"), "{warned}");
-    let last: Vec<&str> = said.lines().rev().take(6).collect();
-    assert!(last[5].contains("hidden things") && last[5].contains("an extended object"), "{said}");
-    assert!(last[4].contains("points of a surface with error bars"), "{said}");
-    assert!(last[3].contains("shapes"), "{said}");
+    let last: Vec<&str> = said.lines().rev().take(7).collect();
+    assert!(last[6].contains("hidden things") && last[6].contains("an extended object"), "{said}");
+    assert!(last[5].contains("points of a surface with error bars"), "{said}");
+    assert!(last[4].contains("shapes") && last[3].contains("meshes"), "{said}");
     assert!(last[2].contains("voxels brighter than noise"), "{said}");
     let patches: Vec<Patch> = rows(folder.path(), "patches");
     assert!(patches.len() == 64 && patches.iter().all(|patch| &*patch.kind == "visible"), "{}", patches.len());

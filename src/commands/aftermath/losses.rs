@@ -13,7 +13,7 @@ use super::super::output::note;
 /// Number of reasons shown; the table has all.
 const SHOWN: usize = 5;
 /// Stages that may answer that there is nothing: patches need not lie on a plane, a wall need not show anything.
-const MAY_BE_EMPTY: [&str; 3] = ["surface", "image", "shape"];
+const MAY_BE_EMPTY: [&str; 4] = ["surface", "image", "shape", "mesh"];
 
 /// Prints what is missing from the results. Returns whether anything is.
 pub fn print(spec: &Spec, outcome: &Outcome, shelf: &Shelf) -> Result<bool> {

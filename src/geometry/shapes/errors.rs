@@ -6,13 +6,7 @@ use super::Sighting;
 use super::core::{UNKNOWNS, Unknowns};
 use super::grow::Member;
 use crate::dense::Definite;
-
-/// Frequencies up to so many over a function's length are waves; the rest, some 0.1 % of the variance, counts as noise.
-const FREQUENCIES: f64 = 3.2;
-/// Most waves along a side of the wall.
-const MOST: usize = 20;
-/// Lengths by which waves go on beyond the wall, where they are zero.
-const BEYOND: f64 = 2.0;
+use crate::waves::waves;
 
 /// A smooth random function over the wall: a Gaussian process of this length, whose standard deviation each place has.
 pub struct Smooth {
@@ -20,8 +14,7 @@ pub struct Smooth {
     pub sd_m: Box<dyn Fn(&Sighting) -> f64>,
 }
 
-/// Covariance of the lengths of some sightings: noise, what all have in common, and smooth functions as sums of waves
-/// of a box about them (Solin and Sarkka, Stat. Comput. 30:419, 2020).
+/// Covariance of the lengths of some sightings: noise, what all have in common, and smooth functions as sums of waves.
 pub struct Errors {
     /// Over the variance of each.
     precision: Vec<f64>,
@@ -40,7 +33,8 @@ impl Errors {
         let mut columns: Vec<Vec<f64>> = vec![members.iter().map(|one| one.sighting.light.common_m).collect()];
         for function in smooth {
             let sds_m: Vec<f64> = members.iter().map(|one| (function.sd_m)(one.sighting)).collect();
-            let [x, y] = [0, 1].map(|k| line(members, k, function.length_m));
+            let along = |axis: usize| members.iter().map(|one| one.wall[axis]).collect::<Vec<f64>>();
+            let [x, y] = [0, 1].map(|axis| waves(&along(axis), function.length_m));
             let mut left: Vec<f64> = vec![1.0; members.len()];
             for along in &x {
                 for up in &y {
@@ -81,20 +75,4 @@ impl Errors {
         let gradient = (0..UNKNOWNS).map(|k| all[(k, UNKNOWNS)]).collect();
         (all[(UNKNOWNS, UNKNOWNS)], Mat::from_fn(UNKNOWNS, UNKNOWNS, |i, j| all[(i, j)]), gradient)
     }
-}
-
-/// Waves along one axis of the wall, each with the share of the variance that its frequency has.
-fn line(members: &[Member<'_>], axis: usize, length_m: f64) -> Vec<Vec<f64>> {
-    let places = members.iter().map(|one| one.wall[axis]);
-    let (least, most) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), x| (a.min(x), b.max(x)));
-    let (middle, half) = (0.5 * (least + most), 0.5 * (most - least) + BEYOND * length_m);
-    let count = (FREQUENCIES * 2.0 * half / (std::f64::consts::PI * length_m)).ceil() as usize;
-    (1..=count.min(MOST))
-        .map(|n| {
-            let frequency = std::f64::consts::PI * n as f64 / (2.0 * half);
-            let density = length_m * std::f64::consts::TAU.sqrt() * (-0.5 * (frequency * length_m).powi(2)).exp();
-            let height = (density / half).sqrt();
-            members.iter().map(|one| height * (frequency * (one.wall[axis] - middle + half)).sin()).collect()
-        })
-        .collect()
 }

@@ -29,6 +29,7 @@ pub fn section(report: &Report) -> Markup {
             (positions(scene))
             (planes(scene))
             (shapes(scene))
+            (surfaces(scene))
             (gaps(scene))
         }
     }
@@ -175,6 +176,33 @@ fn shapes(scene: &Scene) -> Markup {
                                 td { @if let (Some(radius_m), Some(sd_m)) = (shape.radius_m, shape.radius_sd_m) { (format!("{:.2} ± {:.2}", 1e3 * radius_m, 1e3 * sd_m)) } }
                                 td { (shape.wall_points) }
                                 td { (sig(shape.misfit, 2)) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn surfaces(scene: &Scene) -> Markup {
+    html! {
+        @if !scene.meshes.is_empty() {
+            h3 { "The surface between these points" }
+            p { "Fitted to first light at all points of the wall. Where it ends is not told. As a file: " code { "periscope export RESULTS FILE.ply --mesh" } "." }
+            div.scroll tabindex="0" role="region" aria-label="surfaces" {
+                table.numbers {
+                    thead { tr { th { "surface" } th { "nodes" } th { "distance of nodes (mm)" } th { "median sd (mm)" } th { "curvatures of the order of (1/m)" } th { "points of the wall" } th { "chi-square / number" } } }
+                    tbody {
+                        @for mesh in &scene.meshes {
+                            tr {
+                                td { (mesh.mesh) }
+                                td { (mesh.nodes) }
+                                td { (sig(1e3 * mesh.spacing_m, 3)) }
+                                td { (sig(1e3 * mesh.median_sd_m, 2)) }
+                                td { (mesh.bend_per_m) }
+                                td { (mesh.wall_points) }
+                                td { (sig(mesh.misfit, 2)) }
                             }
                         }
                     }

@@ -73,7 +73,9 @@ fn caption(scene: &Scene) -> Markup {
         }
         @if !scene.footprints.is_empty() { "Disks: " (scene.footprints.len()) " patches whose size and direction are known, true to scale. " }
         @if scene.surface_points > 0 {
-            "Surface: " @if scene.surface.len() < scene.surface_points { (scene.surface.len()) " of " } (count(scene.surface_points, "point", "points")) ", coloured by standard deviation. "
+            "Surface: " @if scene.surface.len() < scene.surface_points { (scene.surface.len()) " of " } (count(scene.surface_points, "point", "points")) ", coloured by standard deviation"
+            @if !scene.meshes.is_empty() { ", and " (count(scene.meshes.len(), "surface", "surfaces")) " between them with " (count(scene.vertices.len(), "node", "nodes")) " in the same colours" }
+            ". "
         }
         @if !scene.rays.is_empty() { "Red: laser beam to the lit patches. " }
         @if let Some(frame) = frame { (frame) " " }
@@ -99,7 +101,9 @@ fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
     plot.add_traces(meshes::planes(&scene.planes, &scene.patches));
     plot.add_traces(meshes::walls(&scene.walls, extent_m(scene)));
     if !scene.surface.is_empty() {
-        plot.add_trace(surface(&scene.surface));
+        let ends_mm = shades(&scene.surface);
+        plot.add_traces(meshes::surfaces(&scene.vertices, ends_mm));
+        plot.add_trace(surface(&scene.surface, ends_mm));
     }
     if !scene.alternatives.is_empty() {
         let [x, y, z] = coordinates(scene.alternatives.iter().map(|patch| [patch.x_m, patch.y_m, patch.z_m]));
@@ -202,8 +206,16 @@ fn beams(rays: &[Ray]) -> Vec<Box<dyn Trace>> {
     beam.into_iter().chain(lines(&last, "sensors' lines of sight", PALE, 1.0, false)).collect()
 }
 
+/// Standard deviations (mm) at which colours begin and end: few points with large errors would leave one colour to all
+/// others.
+fn shades(points: &[SurfacePoint]) -> [f64; 2] {
+    let mut sds_mm: Vec<f64> = points.iter().map(|point| short(1e3 * point.sd_m, 3)).collect();
+    sds_mm.sort_by(f64::total_cmp);
+    [sds_mm[0], sds_mm[sds_mm.len() * 9 / 10]]
+}
+
 /// Points of a hidden surface, coloured by their standard deviation.
-fn surface(points: &[SurfacePoint]) -> Box<dyn Trace> {
+fn surface(points: &[SurfacePoint], [least_mm, most_mm]: [f64; 2]) -> Box<dyn Trace> {
     let [x, y, z] = coordinates(points.iter().map(|point| [point.x_m, point.y_m, point.z_m]));
     let sds_mm: Vec<f64> = points.iter().map(|point| short(1e3 * point.sd_m, 3)).collect();
     let text = |point: &SurfacePoint| {
@@ -215,14 +227,11 @@ fn surface(points: &[SurfacePoint]) -> Box<dyn Trace> {
             sig(point.misfit, 2)
         )
     };
-    // Few points with large errors would leave one colour to all others.
-    let mut sorted = sds_mm.clone();
-    sorted.sort_by(f64::total_cmp);
     let marker = Marker::new()
         .size(3)
         .color_array(sds_mm)
-        .cmin(sorted[0])
-        .cmax(sorted[sorted.len() * 9 / 10])
+        .cmin(least_mm)
+        .cmax(most_mm)
         .color_scale(ColorScale::Palette(ColorScalePalette::Viridis))
         .color_bar(
             ColorBar::new()

@@ -1,22 +1,29 @@
 //! What a relay wall shows: the verdict of `locate`, and the image beside it.
 
 use super::decision;
-use crate::tables::{Decision, Image, JointSearch, Shape, SurfacePoint};
+use crate::tables::{Decision, Image, JointSearch, Mesh, Shape, SurfacePoint};
 
 /// Shapes that are named one by one.
 const NAMED: usize = 6;
 
+/// Points of a surface, and what stages made of them; `None` where these did not run.
+#[derive(Clone, Copy)]
+pub(super) struct Surface<'a> {
+    pub points: &'a [SurfacePoint],
+    pub shapes: Option<&'a [Shape]>,
+    pub meshes: Option<&'a [Mesh]>,
+}
+
 /// The verdict, the surface, the image, and what these rest on.
-pub(super) fn decisions(
-    searches: &[JointSearch],
-    images: &[Image],
-    surface: Option<(&[SurfacePoint], Option<&[Shape]>)>,
-) -> Vec<Decision> {
+pub(super) fn decisions(searches: &[JointSearch], images: &[Image], surface: Option<Surface<'_>>) -> Vec<Decision> {
     let mut decisions: Vec<Decision> = searches.iter().map(verdict).collect();
-    let is_extended = searches.iter().any(|search| &*search.verdict == "extended-object");
-    if let Some((points, shapes)) = surface.filter(|_| is_extended) {
-        decisions.push(points_of_surface(points));
-        decisions.extend(shapes.filter(|_| !points.is_empty()).map(|shapes| shapes_of_surface(shapes, points.len())));
+    let is_extended = searches.is_empty() || searches.iter().any(|search| &*search.verdict == "extended-object");
+    if let Some(Surface { points, shapes, meshes }) = surface.filter(|_| is_extended) {
+        decisions.push(points_of_surface(points, searches.is_empty()));
+        if !points.is_empty() {
+            decisions.extend(shapes.map(|shapes| shapes_of_surface(shapes, points.len())));
+            decisions.extend(meshes.map(meshes_of_surface));
+        }
     }
     decisions.extend(images.iter().map(image));
     decisions.extend(searches.iter().flat_map(|search| [response(search), gate(search)]));
@@ -48,8 +55,8 @@ fn verdict(search: &JointSearch) -> Decision {
     decision("hidden things", &chosen, &evidence, would_change)
 }
 
-/// What first light says of an extended object.
-fn points_of_surface(points: &[SurfacePoint]) -> Decision {
+/// What first light says of an extended object. Where nothing else was looked for, nothing says that there is one.
+fn points_of_surface(points: &[SurfacePoint], is_presumed: bool) -> Decision {
     let of_kind = |kind: &str| points.iter().filter(|point| &*point.kind == kind).count();
     let mut sds_mm: Vec<f64> = points.iter().map(|point| 1e3 * point.sd_m).collect();
     sds_mm.sort_by(f64::total_cmp);
@@ -59,7 +66,14 @@ fn points_of_surface(points: &[SurfacePoint]) -> Decision {
     };
     let kinds = ["smooth", "edge", "corner", "unknown"].map(|kind| format!("{} {kind}", of_kind(kind))).join(", ");
     let evidence = match sds_mm.get(sds_mm.len() / 2) {
-        Some(sd_mm) => format!("small things do not explain the histograms; {kinds}; median sd {sd_mm:.1} mm"),
+        Some(sd_mm) => {
+            let why = if is_presumed {
+                "the pipeline looks for a surface alone, not for small things"
+            } else {
+                "small things do not explain the histograms"
+            };
+            format!("{why}; {kinds}; median sd {sd_mm:.1} mm")
+        }
         None => "light rises in too few histograms, or at times that no surface has".to_owned(),
     };
     decision("surface", &chosen, &evidence, "more photons, or more points of the wall")
@@ -91,6 +105,24 @@ fn shapes_of_surface(shapes: &[Shape], points: usize) -> Decision {
         &format!("{on_shapes} of {points} points lie on them; each kind is 20 times likelier than any other, or more"),
         "a bent surface that differs from these by less than errors of first light",
     )
+}
+
+/// The surface between these points.
+fn meshes_of_surface(meshes: &[Mesh]) -> Decision {
+    let one = |mesh: &Mesh| format!("{} nodes, median sd {:.1} mm", mesh.nodes, 1e3 * mesh.median_sd_m);
+    let would_change = "more photons, or more points of the wall";
+    if meshes.is_empty() {
+        let evidence = "no smooth surface explains first light, or too few points lie on all sides of its parts";
+        return decision("meshes", "none; the points stand for themselves", evidence, would_change);
+    }
+    let chosen = format!(
+        "{} in `meshes`: {}",
+        of(meshes.len() as i32, "surface", "surfaces"),
+        meshes.iter().take(NAMED).map(one).collect::<Vec<_>>().join("; ")
+    );
+    let misfits = meshes.iter().take(NAMED).map(|mesh| format!("{:.2}", mesh.misfit)).collect::<Vec<_>>().join(", ");
+    let evidence = format!("chi-square of first light over its number: {misfits}; where a surface ends is not told");
+    decision("meshes", &chosen, &evidence, would_change)
 }
 
 /// How far the image exceeds noise.

@@ -1,8 +1,9 @@
 use super::*;
 use crate::cancel::Cancel;
+use crate::geometry::Point;
 
 /// A point of the wall, and the point of a plate 0.6 m behind it that it sees.
-fn point(seen: i32) -> (Point, SurfacePoint) {
+fn point(seen: i32) -> (Patch, SurfacePoint) {
     let at = |n: i32| f64::from(n) * 0.05 - 0.2;
     let wall = Point::new(at(seen % 10), at(seen / 10), 0.0);
     // Lengths are off by less than their errors, and not by a smooth function.
@@ -25,13 +26,13 @@ fn point(seen: i32) -> (Point, SurfacePoint) {
         light_common_sd_m: 1e-4,
         ..SurfacePoint::default()
     };
-    (wall, row)
+    (Patch { patch: seen, x_m: wall.x, y_m: wall.y, ..Patch::default() }, row)
 }
 
-fn applied(points: Vec<(Point, SurfacePoint)>) -> Outcome<Shape> {
-    let walls = points.iter().map(|(wall, row)| (row.seen, *wall)).collect();
-    let context = Context { walls, cancel: Cancel::never() };
-    FitShapes {}.apply(&context, points.into_iter().map(|(_, row)| row).collect()).unwrap()
+fn applied(points: Vec<(Patch, SurfacePoint)>) -> Outcome<Shape> {
+    let (patches, rows): (Vec<Patch>, Vec<SurfacePoint>) = points.into_iter().unzip();
+    let context = Context { walls: Walls::new(&patches), cancel: Cancel::never() };
+    FitShapes {}.apply(&context, rows).unwrap()
 }
 
 #[test]
@@ -48,7 +49,7 @@ fn points_of_a_plate_are_said_by_their_plane() {
 #[test]
 fn points_without_a_shape_stay_as_they_were() {
     // The lit point is another one: nothing says a distance.
-    let apart: Vec<(Point, SurfacePoint)> =
+    let apart: Vec<(Patch, SurfacePoint)> =
         (0..100).map(point).map(|(wall, row)| (wall, SurfacePoint { lit: 200, ..row })).collect();
     let before: Vec<SurfacePoint> = apart.iter().map(|(_, row)| row.clone()).collect();
     let outcome = applied(apart);

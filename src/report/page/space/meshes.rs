@@ -1,11 +1,13 @@
 //! Bodies and faces of the scene: error ellipsoids, disks, planes, walls. Those of one kind are one mesh.
 
+use plotly::common::{ColorScale, ColorScalePalette};
 use plotly::{Mesh3D, Trace};
 
-use super::super::plot::PALE;
+use super::super::plot::{PALE, short};
 use super::coordinates;
+use crate::exchange::ply;
 use crate::report::scene::Placed;
-use crate::tables::{Hypothesis, PatchFootprint, Plane};
+use crate::tables::{Hypothesis, PatchFootprint, Plane, Vertex};
 
 /// Rings and sectors of a drawn ellipsoid.
 const RINGS: usize = 6;
@@ -16,6 +18,8 @@ const CORNERS: usize = 20;
 const ELLIPSOIDS: usize = 600;
 /// Margin of a plane around its patches, as a share of its extent.
 const MARGIN: f64 = 0.1;
+/// How much of what lies behind a surface it hides.
+const MESH: f64 = 0.85;
 /// Side of a drawn wall, in extents of the patches.
 const WALL: f64 = 0.8;
 
@@ -140,6 +144,21 @@ fn rectangle(normal: [f64; 3], offset_m: f64, members: &[[f64; 3]]) -> [[f64; 3]
 /// Two triangles for each four corners.
 fn halves(corners: usize) -> Vec<[usize; 3]> {
     (0..corners / 4).flat_map(|n| [[4 * n, 4 * n + 1, 4 * n + 2], [4 * n, 4 * n + 2, 4 * n + 3]]).collect()
+}
+
+/// Hidden surfaces between points, coloured by their standard deviation up to one that is large.
+pub fn surfaces(vertices: &[Vertex], [least_mm, most_mm]: [f64; 2]) -> Vec<Box<dyn Trace>> {
+    let faces = ply::faces(vertices);
+    if faces.is_empty() {
+        return Vec::new();
+    }
+    let [x, y, z] = coordinates(vertices.iter().map(|vertex| [vertex.x_m, vertex.y_m, vertex.z_m]));
+    let corner = |k: usize| -> Vec<usize> { faces.iter().map(|face| face[k]).collect() };
+    let sds_mm: Vec<f64> = vertices.iter().map(|vertex| short(1e3 * vertex.sd_m, 3)).collect();
+    let mesh = Mesh3D::new(x, y, z, Some(corner(0)), Some(corner(1)), Some(corner(2)));
+    let mesh = mesh.intensity(sds_mm).c_min(least_mm).c_max(most_mm).show_scale(false);
+    let mesh = mesh.color_scale(ColorScale::Palette(ColorScalePalette::Viridis)).opacity(MESH);
+    vec![mesh.name("surface between the points").show_legend(true).hover_template("sd %{intensity} mm<extra></extra>")]
 }
 
 /// Planes that reflect light and are no patches, each as a square; how far they reach is not known.

@@ -1,0 +1,170 @@
+//! Surfaces from lengths whose errors are made here: noise of each place, a smooth random function, and a common shift.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::*;
+use crate::first_return::{FirstLight, Kind};
+
+const NOISE_M: f64 = 5e-4;
+const LAW_M: f64 = 8e-4;
+const COMMON_M: f64 = 2e-4;
+const ZONE_M: f64 = 0.07;
+/// How far points are off that neighbouring places tell: those of hollow surfaces are.
+const OFF_M: f64 = 0.02;
+
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(random)
+}
+
+/// A smooth random function of standard deviation 1: waves of random directions, as many as make it nearly Gaussian.
+fn smooth(random: &mut ChaCha8Rng) -> impl Fn(f64, f64) -> f64 + use<> {
+    let waves: Vec<[f64; 3]> = (0..300)
+        .map(|_| [normal(random) / ZONE_M, normal(random) / ZONE_M, random.random::<f64>() * std::f64::consts::TAU])
+        .collect();
+    move |x, y| {
+        let sum: f64 = waves.iter().map(|[along, up, phase]| (along * x + up * y + phase).cos()).sum();
+        sum * (2.0 / 300.0_f64).sqrt()
+    }
+}
+
+/// Sightings of a square metre with 28 x 28 places.
+fn sightings(seed: u64, nearest: &impl Fn(&Point) -> Point) -> Vec<Sighting> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let law = smooth(&mut random);
+    let shift_m = COMMON_M * normal(&mut random);
+    let at = |n: usize| (n as f64 + 0.5) / 28.0 - 0.5;
+    (0..784)
+        .map(|n| {
+            let seen = Point::new(at(n % 28), at(n / 28), 0.0);
+            let point = nearest(&seen);
+            let length_m =
+                (seen - point).norm() + NOISE_M * normal(&mut random) + LAW_M * law(seen.x, seen.y) + shift_m;
+            let light = FirstLight { length_m, sd_m: NOISE_M, law_m: LAW_M, zone_m: ZONE_M, common_m: COMMON_M };
+            let off = Vector3::from_fn(|_, _| OFF_M * normal(&mut random));
+            let covariance_m2 = Matrix3::identity() * OFF_M.powi(2);
+            Sighting { seen, light, point: point + off, covariance_m2, part: Kind::Unknown }
+        })
+        .collect()
+}
+
+/// The nearest point of a square with a height, by search.
+fn relief(height_m: fn(f64, f64) -> f64) -> impl Fn(&Point) -> Point {
+    const HALF_M: f64 = 0.25;
+    move |seen: &Point| {
+        let place = |[x, y]: [f64; 2]| Point::new(x, y, 0.7 - height_m(x, y));
+        let square = |at: [f64; 2]| (place(at) - seen).norm_squared();
+        let along = |n: usize| HALF_M * (n as f64 / 20.0 - 1.0);
+        let grid = (0..41 * 41).map(|n| [along(n % 41), along(n / 41)]);
+        let mut best = grid.min_by(|a, b| square(*a).total_cmp(&square(*b))).unwrap();
+        let mut step_m = HALF_M / 20.0;
+        while step_m > 1e-6 {
+            let moved = |x: f64, sign: i32| (x + f64::from(sign) * step_m).clamp(-HALF_M, HALF_M);
+            let tries = (0..9).map(|n| [moved(best[0], n % 3 - 1), moved(best[1], n / 3 - 1)]);
+            let next = tries.min_by(|a, b| square(*a).total_cmp(&square(*b))).unwrap();
+            if square(next) < square(best) {
+                best = next;
+            } else {
+                step_m *= 0.5;
+            }
+        }
+        place(best)
+    }
+}
+
+fn saddle(x: f64, y: f64) -> f64 {
+    0.6 * (x * x - y * y)
+}
+
+fn wavy(x: f64, y: f64) -> f64 {
+    0.015 * (14.0 * x).sin() * (11.0 * y).cos()
+}
+
+fn sphere(seen: &Point) -> Point {
+    let middle = Point::new(0.05, -0.03, 0.8);
+    middle + (seen - middle).normalize() * 0.2
+}
+
+/// A box that turns a corner to the wall: the place sees its corner and its edges, hardly its faces.
+fn cuboid(seen: &Point) -> Point {
+    let axes = [Vector3::new(1.0, 1.0, 1.0), Vector3::new(-1.0, 1.0, 0.0), Vector3::new(1.0, 1.0, -2.0)];
+    let [a, b, c] = axes.map(|axis| axis.normalize());
+    let turned = [a * 0.58 + b * 0.71 + c * 0.41, a * 0.58 - b * 0.71 + c * 0.41, a * 0.58 - c * 0.82];
+    let middle = Point::new(0.0, 0.0, 0.8);
+    turned.iter().fold(middle, |point, axis| {
+        let axis = axis.normalize();
+        point + axis * axis.dot(&(seen - middle)).clamp(-0.12, 0.12)
+    })
+}
+
+/// Squared scores of nodes by their distance from the surface, and errors (m).
+fn off(fields: &[HeightField], nearest: &impl Fn(&Point) -> Point) -> (Vec<f64>, Vec<f64>) {
+    let nodes = || fields.iter().flat_map(|field| &field.nodes);
+    let far_m: Vec<f64> = nodes().map(|node| (nearest(&node.point) - node.point).norm()).collect();
+    (nodes().zip(&far_m).map(|(node, far_m)| (far_m / node.sd_m).powi(2)).collect(), far_m)
+}
+
+/// Seeds of each surface: each is one draw, since the nodes of one share errors.
+const SEEDS: u64 = 6;
+
+fn holds(name: &str, nearest: impl Fn(&Point) -> Point) {
+    let (mut within, mut nodes, mut worst_mm) = (0, 0, 0.0_f64);
+    for seed in 0..SEEDS {
+        let fields = height_fields(&sightings(seed, &nearest), &Cancel::never());
+        let (squares, far_m) = off(&fields, &nearest);
+        assert!(squares.len() > 20, "{name}, seed {seed}: {} nodes", squares.len());
+        within += squares.iter().filter(|square| **square < 1.96 * 1.96).count();
+        nodes += squares.len();
+        worst_mm = worst_mm.max(1e3 * median(far_m));
+    }
+    println!("{name}: {within} of {nodes} within 95 %, medians of errors to {worst_mm:.2} mm");
+    assert!(within * 100 >= 93 * nodes && worst_mm < 2.0, "{name}: {within} of {nodes}, {worst_mm} mm");
+}
+
+/// Points that are off by centimetres have a surface between them that is off by a millimetre.
+#[test]
+fn heights_of_hollow_and_wavy_surfaces_lie_within_their_error_bars() {
+    holds("saddle", relief(saddle));
+    holds("wavy", relief(wavy));
+}
+
+#[test]
+fn heights_of_spheres_and_plates_lie_within_their_error_bars() {
+    holds("sphere", sphere);
+    holds("plate", relief(|x, _| 0.3 * x));
+}
+
+/// Edges and a corner do not say how the faces between them lie.
+#[test]
+fn faces_that_no_place_sees_are_not_told() {
+    for seed in 0..SEEDS {
+        let fields = height_fields(&sightings(seed, &cuboid), &Cancel::never());
+        let (squares, _) = off(&fields, &cuboid);
+        let without = squares.iter().filter(|square| **square > 9.0).count();
+        assert!(without == 0, "seed {seed}: {without} of {} nodes lie off the box", squares.len());
+    }
+}
+
+#[test]
+fn two_things_have_surfaces_of_their_own() {
+    let left = |seen: &Point| Point::new(-0.4, 0.0, 0.7) + (seen - Point::new(-0.4, 0.0, 0.7)).normalize() * 0.15;
+    let right = |seen: &Point| Point::new(0.4, 0.0, 0.75) + (seen - Point::new(0.4, 0.0, 0.75)).normalize() * 0.15;
+    let both = move |seen: &Point| {
+        let [a, b] = [left(seen), right(seen)];
+        if (a - seen).norm() < (b - seen).norm() { a } else { b }
+    };
+    let fields = height_fields(&sightings(3, &both), &Cancel::never());
+    assert_eq!(fields.len(), 2);
+    let sides = fields.iter().map(|field| field.nodes.iter().all(|node| node.point.x < 0.0));
+    assert_eq!(sides.filter(|is_left| *is_left).count(), 1);
+}
+
+/// Lengths that no surface has: noise that is ten times what it is said to be.
+#[test]
+fn lengths_without_a_surface_have_none() {
+    let mut all = sightings(1, &sphere);
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    all.iter_mut().for_each(|one| one.light.length_m += 10.0 * NOISE_M * normal(&mut random));
+    assert!(height_fields(&all, &Cancel::never()).is_empty());
+}
