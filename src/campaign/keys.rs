@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
+use crate::formats::Description;
 use crate::units::PatchId;
 
 /// Name of the file that makes a folder a campaign.
@@ -265,14 +266,31 @@ pub struct CaptureRule {
     pub t0_ps: Option<f64>,
     /// The samples to use: from the first number up to, but without, the second.
     pub samples: Option<[u64; 2]>,
+    /// Unit of values in a text whose heading names none.
+    pub unit: Option<String>,
+    /// Unit of times in a text whose heading names none.
+    pub time_unit: Option<String>,
+    /// The array with the samples, by its name or its path, in a file that holds several.
+    pub variable: Option<String>,
+    /// A name for each axis of that array: `time`, and what the others count, in place of `segments`.
+    pub axes: Option<Vec<String>>,
 }
 
 impl CaptureRule {
+    /// What segments count: the names in `axes` but `time`, where these are given.
+    #[must_use]
+    pub fn counted(&self) -> Vec<Axis> {
+        let Some(names) = &self.axes else { return self.segments.clone() };
+        let named = |name: &String| Axis::ALL.into_iter().find(|axis| axis.name() == name);
+        let axes: Vec<Axis> = names.iter().filter_map(named).collect();
+        if axes.is_empty() { shots() } else { axes }
+    }
+
     /// The keys that apply to every exposure of the rule.
     #[must_use]
     pub fn record_keys(&self) -> RecordKeys {
         RecordKeys {
-            segments: self.segments.clone(),
+            segments: self.counted(),
             averaged_shots: self.averaged_shots,
             attenuation_od: self.attenuation_od,
             power_w: self.power_w,
@@ -285,6 +303,10 @@ impl CaptureRule {
             offset_v: self.offset_v,
             t0_ps: self.t0_ps,
             samples: self.samples,
+            unit: self.unit.clone(),
+            time_unit: self.time_unit.clone(),
+            variable: self.variable.clone(),
+            axes: self.axes.clone(),
         }
     }
 }
@@ -307,6 +329,23 @@ pub struct RecordKeys {
     pub offset_v: Option<f64>,
     pub t0_ps: Option<f64>,
     pub samples: Option<[u64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_unit: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub variable: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axes: Option<Vec<String>>,
+}
+
+impl RecordKeys {
+    /// What they say to the reader of a file.
+    #[must_use]
+    pub fn description(&self) -> Description {
+        let Self { unit, time_unit, variable, axes, .. } = self.clone();
+        Description { unit, time_unit, variable, axes }
+    }
 }
 
 /// What was captured.

@@ -62,6 +62,7 @@ mod relay_wall;
 mod report;
 mod resolution;
 mod rooms;
+mod rules_for_arrays;
 mod schema;
 mod scope_samples;
 mod session;

@@ -13,6 +13,7 @@ use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::runs::Runs;
 use super::survey::{Capture, Item, Job, Surveyed, chain};
 use crate::campaign::{Campaign, Stamp, hash_file};
+use crate::formats::Description;
 use crate::stages::source::{Credit, Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
@@ -132,9 +133,11 @@ impl Reader<'_> {
             .map(|(index, item)| (*index, Job { capture: &captures[*index], item, first_shot: 0 }))
             .collect();
         let surveyed = self.surveyed;
-        let mut files: BTreeMap<(usize, Vec<&PathBuf>), Vec<usize>> = BTreeMap::new();
+        let mut files: BTreeMap<(usize, Vec<&PathBuf>, Description), Vec<usize>> = BTreeMap::new();
         for (at, (_, job)) in jobs.iter().enumerate() {
-            files.entry((job.capture.campaign, job.item.exposure.files().collect())).or_default().push(at);
+            let exposure = &job.item.exposure;
+            let key = (job.capture.campaign, exposure.files().collect(), exposure.keys.description());
+            files.entry(key).or_default().push(at);
         }
         let files: Vec<Vec<usize>> = files.into_values().collect();
         let read = |of_file: &Vec<usize>| {

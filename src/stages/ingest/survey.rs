@@ -352,7 +352,8 @@ fn items(
 /// ranges and channels too.
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
-    let Ok(records) = formats::Source::open(path).and_then(|mut file| formats::records(&mut file)) else {
+    let open = || formats::records(&mut formats::Source::open(path)?.described(exposure.keys.description()));
+    let Ok(records) = open() else {
         // A file that does not decode, perhaps since it is still being written, is rejected with the reason when it is
         // read.
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
@@ -365,7 +366,7 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
         shape => {
             let names: Vec<&str> = axes.iter().map(|axis| axis.name()).collect();
             return Err(refused(format!(
-                "segments = {names:?} names {} axes, but the file has leading axes {:?}; name one for each, such as segments = \"shot\"",
+                "segments = {names:?} names {} axes, but the file has leading axes {:?}; name one for each, such as segments = \"shot\", or all with `axes`",
                 axes.len(),
                 shape.unwrap_or(&[])
             )));
