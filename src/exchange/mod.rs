@@ -17,6 +17,7 @@ mod campaign_folder;
 mod capture;
 mod confocal_mat;
 pub mod ply;
+mod point_lists;
 mod profiles_to_capture;
 mod read;
 mod volume;
