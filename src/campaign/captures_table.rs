@@ -34,7 +34,7 @@ const TEXT: [&str; 10] = [
 ];
 
 /// Columns whose cells are numbers, or lists in brackets.
-const VALUES: [&str; 18] = [
+const VALUES: [&str; 20] = [
     "segment",
     "lit",
     "seen",
@@ -53,6 +53,8 @@ const VALUES: [&str; 18] = [
     "t0_ps",
     "samples",
     "axes",
+    "bin_ps",
+    "marker",
 ];
 
 /// What is wrong in a table of captures.

@@ -81,6 +81,10 @@ fn record_values(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
 /// Checks what the rule says to the reader of its files.
 fn description(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     csv::check_units(&rule.record_keys().description()).map_err(|error| at.fault(error.to_string()))?;
+    at.positive("bin_ps", rule.bin_ps)?;
+    at.check(rule.marker.is_none_or(|marker| (1..=4).contains(&marker)), || {
+        "marker is none of the instruments' inputs 1 to 4; correct it".into()
+    })?;
     at.check(rule.unit.is_none() || rule.gain_v.is_none(), || {
         "unit says what the numbers of a text are, gain_v converts codes to volts; give one of them".into()
     })?;

@@ -4,11 +4,11 @@
 //! unknown keys. The values can be serialized, so that the fields that a stage reads enter its lineage; the folder
 //! itself never does.
 
+mod one_or_more;
+
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
 use crate::formats::Description;
@@ -240,7 +240,7 @@ pub struct CaptureRule {
     /// The pulse that marks time zero of each shot; absent: the trigger.
     pub reference: Option<Reference>,
     /// What the segments of a file (or the leading axes of an array) count.
-    #[serde(default = "shots", deserialize_with = "axes")]
+    #[serde(default = "shots", deserialize_with = "one_or_more::axes")]
     pub segments: Vec<Axis>,
     /// Shots that the oscilloscope averaged into each record.
     pub averaged_shots: Option<u32>,
@@ -274,6 +274,10 @@ pub struct CaptureRule {
     pub variable: Option<String>,
     /// A name for each axis of that array: `time`, and what the others count, in place of `segments`.
     pub axes: Option<Vec<String>>,
+    /// Width of the bins into which photon events are counted.
+    pub bin_ps: Option<f64>,
+    /// The marker at each of whose events a new histogram begins.
+    pub marker: Option<u32>,
 }
 
 impl CaptureRule {
@@ -307,6 +311,8 @@ impl CaptureRule {
             time_unit: self.time_unit.clone(),
             variable: self.variable.clone(),
             axes: self.axes.clone(),
+            bin_ps: self.bin_ps,
+            marker: self.marker,
         }
     }
 }
@@ -337,14 +343,18 @@ pub struct RecordKeys {
     pub variable: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axes: Option<Vec<String>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bin_ps: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub marker: Option<u32>,
 }
 
 impl RecordKeys {
     /// What they say to the reader of a file.
     #[must_use]
     pub fn description(&self) -> Description {
-        let Self { unit, time_unit, variable, axes, .. } = self.clone();
-        Description { unit, time_unit, variable, axes }
+        let Self { unit, time_unit, variable, axes, bin_ps, marker, .. } = self.clone();
+        Description { unit, time_unit, variable, axes, bin_ps, marker }
     }
 }
 
@@ -477,32 +487,4 @@ pub fn exclude_place(index: usize) -> String {
 
 fn shots() -> Vec<Axis> {
     vec![Axis::Shot]
-}
-
-/// One axis (`"shot"`) or a list of them (`["lit", "seen", "shot"]`).
-fn axes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Axis>, D::Error> {
-    struct OneOrMore;
-
-    impl<'de> Visitor<'de> for OneOrMore {
-        type Value = Vec<Axis>;
-
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("an axis such as \"shot\", or a list such as [\"lit\", \"seen\", \"shot\"]")
-        }
-
-        fn visit_str<E: de::Error>(self, text: &str) -> Result<Vec<Axis>, E> {
-            let name = de::value::StrDeserializer::<E>::new(text);
-            Ok(vec![Axis::deserialize(name)?])
-        }
-
-        fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<Axis>, A::Error> {
-            let mut axes = Vec::new();
-            while let Some(axis) = items.next_element()? {
-                axes.push(axis);
-            }
-            Ok(axes)
-        }
-    }
-
-    deserializer.deserialize_any(OneOrMore)
 }

@@ -45,6 +45,12 @@ pub struct Inspect {
     /// Names of its axes, with commas between; `time` counts samples
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     axes: Option<Vec<String>>,
+    /// Width of the bins into which photon events are counted
+    #[arg(long, value_name = "PS")]
+    bin_ps: Option<f64>,
+    /// Marker, from 1, at each of whose events a new histogram of photons begins
+    #[arg(long, value_name = "NUMBER")]
+    marker: Option<u32>,
     /// Draw each waveform as a small plot
     #[arg(long)]
     plot: bool,
@@ -134,9 +140,16 @@ fn open(args: &Inspect, file: &Path) -> Result<Opened> {
     if file.is_dir() {
         bail!("is a folder; name the files in it, such as {}", file.join("*").display());
     }
-    let Inspect { unit, time_unit, variable, axes, .. } = args;
+    let Inspect { unit, time_unit, variable, axes, bin_ps, marker, .. } = args;
     let (unit, time_unit, variable, axes) = (unit.clone(), time_unit.clone(), variable.clone(), axes.clone());
-    let mut source = Source::open(file)?.described(Description { unit, time_unit, variable, axes });
+    let mut source = Source::open(file)?.described(Description {
+        unit,
+        time_unit,
+        variable,
+        axes,
+        bin_ps: *bin_ps,
+        marker: *marker,
+    });
     let Contents { mut records, remarks } = formats::contents(&mut source)?;
     let is_asked_for = |record: &Record| {
         args.channel.as_ref().is_none_or(|channel| record.head.channel.as_ref() == Some(channel))

@@ -1,4 +1,5 @@
-//! What a caller says about a file because the file does not say it: units of a text, the array to read.
+//! What a caller says about a file because the file does not say it: units of a text, the array to read, bins of photon
+//! events.
 
 use thiserror::Error;
 
@@ -6,7 +7,7 @@ use thiserror::Error;
 pub const TIME: &str = "time";
 
 /// What a file does not say of itself. A key that its format has no use for is refused.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Description {
     /// Unit of the values in a text whose heading names none, such as `mV` or `counts`.
     pub unit: Option<String>,
@@ -16,6 +17,10 @@ pub struct Description {
     pub variable: Option<String>,
     /// A name for each axis of that array, in the order of the program that wrote it; [`TIME`] counts samples.
     pub axes: Option<Vec<String>>,
+    /// Width of the bins into which photon events are counted.
+    pub bin_ps: Option<f64>,
+    /// The marker, from 1, at each of whose events a new histogram begins.
+    pub marker: Option<u32>,
 }
 
 /// A key of a [`Description`] that does not fit the file.
@@ -39,6 +44,10 @@ pub enum Key {
     Variable,
     /// `axes`.
     Axes,
+    /// `bin_ps`.
+    Bin,
+    /// `marker`.
+    Marker,
 }
 
 impl Key {
@@ -50,6 +59,8 @@ impl Key {
             Self::TimeUnit => "time_unit",
             Self::Variable => "variable",
             Self::Axes => "axes",
+            Self::Bin => "bin_ps",
+            Self::Marker => "marker",
         }
     }
 
@@ -59,6 +70,7 @@ impl Key {
             Self::Unit | Self::TimeUnit => "text",
             Self::Variable => "MATLAB, HDF5 and .npz files",
             Self::Axes => "MATLAB, HDF5, .npy and .npz files",
+            Self::Bin | Self::Marker => "streams of photon events (.ptu)",
         }
     }
 
@@ -104,6 +116,8 @@ impl Description {
             (Key::TimeUnit, self.time_unit.is_some()),
             (Key::Variable, self.variable.is_some()),
             (Key::Axes, self.axes.is_some()),
+            (Key::Bin, self.bin_ps.is_some()),
+            (Key::Marker, self.marker.is_some()),
         ];
         match given.into_iter().find(|(key, is_given)| *is_given && !keys.contains(key)) {
             Some((key, _)) => {

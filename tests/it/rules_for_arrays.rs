@@ -64,6 +64,18 @@ fn a_rule_gives_the_units_that_headings_lack() {
     assert!(rejects[0].reason.contains("`unit` = \"mV\" contradicts the heading of level"), "{rejects:?}");
 }
 
+/// Segments count the records of the rule's channel, whatever else the file holds.
+#[test]
+fn segments_of_another_channel_do_not_count() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("a.csv"), "time_ns,a (V),b (V)\n0,1,5\n1,2,6\n").unwrap();
+    let rule = "[[captures]]\nrole = 'scene'\nfiles = 'a.csv'\nlit = 3\nchannel = 'b'\nsegments = 'seen'\n";
+    let (traces, rejects) = ingest(folder.path(), "analog", rule);
+    assert!(rejects.is_empty(), "{rejects:?}");
+    let rows: Vec<_> = traces.iter().map(|row| (row.seen, row.channel.as_deref(), numbers(row))).collect();
+    assert_eq!(rows, [(1, Some("b"), vec![5.0, 6.0])]);
+}
+
 #[test]
 fn inspect_names_the_keys_that_a_text_without_units_needs() {
     let folder = tempfile::tempdir().unwrap();
@@ -90,6 +102,8 @@ fn units_and_axes_are_checked_before_any_file_is_read() {
         ("time_unit = 'V'", "`time_unit` = \"V\" is no unit of times"),
         ("unit = 'V'\ngain_v = 1.0", "give one of them"),
         ("variable = 'x'\nchannel = 'C1'", "give one of them"),
+        ("marker = 5", "inputs 1 to 4"),
+        ("bin_ps = 0", "bin_ps"),
         ("axes = ['time', 'shots']", "did you mean `shot`?"),
         ("axes = ['shot', 'lit']", "has no \"time\""),
         ("axes = ['time', 'shot']\nsegments = ['lit', 'shot']", "give one of them"),
