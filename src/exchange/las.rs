@@ -52,6 +52,7 @@ fn place_m(echo: &Echo) -> [f64; 3] {
 }
 
 /// How places become whole numbers, and the box of all.
+#[expect(clippy::struct_field_names, reason = "lengths have their unit")]
 struct Frame {
     scale_m: f64,
     offset_m: [f64; 3],

@@ -150,7 +150,7 @@ mod tests {
 
     /// Two lit and three seen points, four bins: the number of a bin is 100 lit + 10 seen + bin.
     fn all_pairs() -> Arrays {
-        let counts: Vec<f64> = (0..24).map(|n| (100 * (n / 12) + 10 * (n / 4 % 3) + n % 4) as f64).collect();
+        let counts: Vec<f64> = (0..24).map(|n| f64::from(100 * (n / 12) + 10 * (n / 4 % 3) + n % 4)).collect();
         let starts: Vec<f64> = (0..6).map(|n| f64::from(10 * (n / 3) + n % 3)).collect();
         file(vec![
             ("counts", Array::of(&[2, 3, 4], &counts)),
@@ -190,8 +190,8 @@ mod tests {
     fn another_order_of_axes_is_refused() {
         let turned = |axes: &[usize], starts: &[usize]| {
             let mut arrays = all_pairs();
-            arrays.insert("counts".to_owned(), Array::of(axes, &vec![0.0; 24]));
-            arrays.insert("start_ps".to_owned(), Array::of(starts, &vec![0.0; 6]));
+            arrays.insert("counts".to_owned(), Array::of(axes, &[0.0; 24]));
+            arrays.insert("start_ps".to_owned(), Array::of(starts, &[0.0; 6]));
             read(arrays, &Defaults::default(), false).unwrap_err()
         };
         for axes in [[4, 2, 3], [3, 2, 4], [2, 4, 3]] {

@@ -50,13 +50,11 @@ impl Reader for Mat {
         grid.limit(input.length(), 0, size_of::<Record>())?;
         let head = grid.head(self.format(), variable.code_type);
         let head = Head { channel: Some(variable.name.clone()), ..head };
-        match variable.byte_offset.filter(|_| !variable.is_long) {
-            Some(at) => Ok(grid.list(head, |i| grid.payload(i, at, variable.code_type, false))),
-            None => {
-                let codes = Arc::new(numbers(input, &variable)?);
-                Ok(grid.list(head, |i| grid.gather(i, &codes, variable.code_type)))
-            }
+        if let Some(at) = variable.byte_offset.filter(|_| !variable.is_long) {
+            return Ok(grid.list(head, |i| grid.payload(i, at, variable.code_type, false)));
         }
+        let codes = Arc::new(numbers(input, &variable)?);
+        Ok(grid.list(head, |i| grid.gather(i, &codes, variable.code_type)))
     }
 }
 

@@ -7,8 +7,8 @@
 //! the latest photon of the file needs; photons of all pixels of an image are one histogram, unless the caller names a
 //! `marker`: then each of its events begins a new one, a segment of its channel, and photons before the first are left
 //! out with a remark. `bin_ps` makes bins of several units of the time base. The instrument subtracts the offset (0 by
-//! default) from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from 0.
-//! Several curves of one channel are its segments.
+//! default) from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from
+//! 0. Several curves of one channel are its segments.
 //!
 //! .ptu in T2 mode: times count from the last event of the sync channel (channel 0 of a PicoHarp); photons before the
 //! first one are left out, and a file without such events is refused. dt is the resolution times the smallest power of

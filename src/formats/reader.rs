@@ -209,7 +209,7 @@ impl Source<Joined> {
         let file = Joined::open(path)?;
         let (length, total) = (file.length, file.total());
         let (extension, description, ledger) = (extension(path), Description::default(), Ledger::default());
-        Ok(Self { length, total, file, extension, description, ledger })
+        Ok(Self { file, length, total, extension, description, ledger })
     }
 
     /// Length in bytes, companion included.

@@ -73,6 +73,7 @@ mod simulate;
 mod sizes;
 mod small_rooms;
 mod surface;
+mod surplus;
 #[allow(dead_code, reason = "the study uses more of it")]
 mod system_calls;
 mod twins;

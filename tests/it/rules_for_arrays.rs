@@ -119,7 +119,7 @@ fn rules_name_arrays_and_axes() {
     let folder = tempfile::tempdir().unwrap();
     let number = |lit: usize, shot: usize, sample: usize| (100 * lit + 10 * shot + sample) as f64;
     let samples_first: Vec<f64> = (0..24).map(|n| number(n % 2, n / 2 % 3, n / 6)).collect();
-    let samples_last: Vec<f64> = (0..8).map(|n| n as f64).collect();
+    let samples_last: Vec<f64> = (0..8).map(f64::from).collect();
     let arrays = [("waves", Array::of(&[4, 3, 2], &samples_first)), ("dark", Array::of(&[2, 4], &samples_last))];
     let arrays: Arrays = arrays.into_iter().map(|(name, array)| (name.to_owned(), array)).collect();
     hdf5::write(&mut fs::File::create(folder.path().join("a.h5")).unwrap(), &arrays).unwrap();
