@@ -20,10 +20,21 @@ use super::pattern::check_path;
 use super::suggest::hint;
 
 /// Columns whose cells are text, whatever they look like.
-const TEXT: [&str; 7] = ["file", "reference_channel", "reference_file", "role", "sensor", "channel", "range"];
+const TEXT: [&str; 10] = [
+    "file",
+    "reference_channel",
+    "reference_file",
+    "role",
+    "sensor",
+    "channel",
+    "range",
+    "unit",
+    "time_unit",
+    "variable",
+];
 
 /// Columns whose cells are numbers, or lists in brackets.
-const VALUES: [&str; 17] = [
+const VALUES: [&str; 20] = [
     "segment",
     "lit",
     "seen",
@@ -41,6 +52,9 @@ const VALUES: [&str; 17] = [
     "offset_v",
     "t0_ps",
     "samples",
+    "axes",
+    "bin_ps",
+    "marker",
 ];
 
 /// What is wrong in a table of captures.

@@ -7,6 +7,8 @@ use super::fault::{At, Fault};
 use super::keys::{Axis, CaptureRule, Exclude, Match, Reference, Role, Sensor};
 use super::pattern::check_path;
 use super::suggest::hint;
+use crate::formats::csv;
+use crate::formats::description::TIME;
 
 /// Checks a rule, or a row of its table combined with it.
 ///
@@ -35,6 +37,7 @@ pub fn rule(rule: &CaptureRule, place: &str, sensors: &BTreeMap<String, Sensor>)
         sensor_exists(sensor, sensors).map_err(|problem| at.fault(problem))?;
     }
     record_values(at, rule)?;
+    description(at, rule)?;
     rule_axes(at, rule)
 }
 
@@ -75,26 +78,60 @@ fn record_values(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     })
 }
 
+/// Checks what the rule says to the reader of its files.
+fn description(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
+    csv::check_units(&rule.record_keys().description()).map_err(|error| at.fault(error.to_string()))?;
+    at.positive("bin_ps", rule.bin_ps)?;
+    at.check(rule.marker.is_none_or(|marker| (1..=4).contains(&marker)), || {
+        "marker is none of the instruments' inputs 1 to 4; correct it".into()
+    })?;
+    at.check(rule.unit.is_none() || rule.gain_v.is_none(), || {
+        "unit says what the numbers of a text are, gain_v converts codes to volts; give one of them".into()
+    })?;
+    at.check(rule.variable.is_none() || rule.channel.is_none(), || {
+        "variable names an array, channel a channel; give one of them".into()
+    })?;
+    let has_channel = rule.reference.as_ref().is_some_and(|reference| reference.channel.is_some());
+    at.check(rule.variable.is_none() || !has_channel, || {
+        "variable reads one array of a file, so that reference.channel finds no other; \
+         in an .npz file name both as channels, else save the reference in a file of its own"
+            .into()
+    })?;
+    let Some(names) = &rule.axes else { return Ok(()) };
+    at.check(rule.segments == [Axis::Shot], || {
+        "axes names what every axis counts, segments the leading ones; give one of them".into()
+    })?;
+    let allowed = || Axis::ALL.into_iter().map(Axis::name).chain([TIME]);
+    for (index, name) in names.iter().enumerate() {
+        at.check(allowed().any(|other| other == name), || format!("axes has \"{name}\"; {}", hint(name, allowed())))?;
+        at.check(!names[..index].contains(name), || format!("\"{name}\" stands twice in axes; take one out"))?;
+    }
+    at.check(names.iter().any(|name| name == TIME), || {
+        format!("axes = {names:?} has no \"{TIME}\"; name the axis that counts samples so")
+    })
+}
+
 /// Checks that each coordinate of a record has one source: the pattern, a key, or an axis of the segments.
 fn rule_axes(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     let in_pattern: BTreeSet<Axis> = match &rule.files {
         Some(files) => at.pattern(files)?.axes().collect(),
         None => BTreeSet::new(),
     };
+    let counted = rule.counted();
     for (axis, is_key) in key_axes(rule) {
         let name = axis.name();
         at.check(!(is_key && in_pattern.contains(&axis)), || {
             format!("`{name}` stands in the pattern and as a key; take one out")
         })?;
         // Shots may continue within the files of a numbered series, so they may have two sources.
-        let in_segments = axis != Axis::Shot && rule.segments.contains(&axis);
+        let in_segments = axis != Axis::Shot && counted.contains(&axis);
         at.check(!(in_segments && (is_key || in_pattern.contains(&axis))), || {
-            format!("`{name}` stands in segments and elsewhere; take one out")
+            format!("`{name}` stands in segments or axes and elsewhere; take one out")
         })?;
         at.check(rule.segments.iter().filter(|a| **a == axis).count() < 2, || {
             format!("`{name}` stands twice in segments; take one out")
         })?;
-        let has_source = is_key || in_pattern.contains(&axis) || rule.segments.contains(&axis);
+        let has_source = is_key || in_pattern.contains(&axis) || counted.contains(&axis);
         let needed = matches!(axis, Axis::Lit | Axis::Seen) && rule.role == Some(Role::Scene) && rule.table.is_none();
         at.check(has_source || !needed, || {
             format!("nothing says which patch is `{name}`; put {{{name}}} into the pattern, add the key {name} = N, or list \"{name}\" in segments")

@@ -79,7 +79,7 @@ pub(super) fn exposure(
         let name = axis.name();
         match patch {
             Some(0) if role == Role::Scene => Err(format!("{name} = 0 in a scene; patches are numbered from 1")),
-            None if rule.segments.contains(&axis) => Ok(None),
+            None if rule.counted().contains(&axis) => Ok(None),
             None if role == Role::Scene => Err(format!(
                 "nothing says which patch is `{name}`; fill the column `{name}`, or list \"{name}\" in segments"
             )),
@@ -88,7 +88,7 @@ pub(super) fn exposure(
     };
     let name = |axis: Axis, key: &Option<String>| bound.get(axis).map(str::to_owned).or_else(|| key.clone());
     let sensor = match name(Axis::Sensor, &rule.sensor) {
-        None if rule.segments.contains(&Axis::Sensor) => None,
+        None if rule.counted().contains(&Axis::Sensor) => None,
         None => Some(only_sensor(campaign)?),
         Some(sensor) => {
             sensor_exists(&sensor, &campaign.sensors)?;
@@ -105,7 +105,8 @@ pub(super) fn exposure(
         seen: patch(Axis::Seen, rule.seen)?,
         shot: number(Axis::Shot, bound)?.or(rule.shot),
         range: name(Axis::Range, &rule.range),
-        channel: name(Axis::Channel, &rule.channel),
+        // An array is a channel of its file.
+        channel: name(Axis::Channel, &rule.channel).or_else(|| rule.variable.clone()),
         segment: None,
         reference: None,
         companions: Vec::new(),

@@ -4,13 +4,14 @@
 //! unknown keys. The values can be serialized, so that the fields that a stage reads enter its lineage; the folder
 //! itself never does.
 
+mod one_or_more;
+
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::de::{self, Deserializer, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
+use crate::formats::Description;
 use crate::units::PatchId;
 
 /// Name of the file that makes a folder a campaign.
@@ -239,7 +240,7 @@ pub struct CaptureRule {
     /// The pulse that marks time zero of each shot; absent: the trigger.
     pub reference: Option<Reference>,
     /// What the segments of a file (or the leading axes of an array) count.
-    #[serde(default = "shots", deserialize_with = "axes")]
+    #[serde(default = "shots", deserialize_with = "one_or_more::axes")]
     pub segments: Vec<Axis>,
     /// Shots that the oscilloscope averaged into each record.
     pub averaged_shots: Option<u32>,
@@ -265,14 +266,35 @@ pub struct CaptureRule {
     pub t0_ps: Option<f64>,
     /// The samples to use: from the first number up to, but without, the second.
     pub samples: Option<[u64; 2]>,
+    /// Unit of values in a text whose heading names none.
+    pub unit: Option<String>,
+    /// Unit of times in a text whose heading names none.
+    pub time_unit: Option<String>,
+    /// The array with the samples, by its name or its path, in a file that holds several.
+    pub variable: Option<String>,
+    /// A name for each axis of that array: `time`, and what the others count, in place of `segments`.
+    pub axes: Option<Vec<String>>,
+    /// Width of the bins into which photon events are counted.
+    pub bin_ps: Option<f64>,
+    /// The marker at each of whose events a new histogram begins.
+    pub marker: Option<u32>,
 }
 
 impl CaptureRule {
+    /// What segments count: the names in `axes` but `time`, where these are given.
+    #[must_use]
+    pub fn counted(&self) -> Vec<Axis> {
+        let Some(names) = &self.axes else { return self.segments.clone() };
+        let named = |name: &String| Axis::ALL.into_iter().find(|axis| axis.name() == name);
+        let axes: Vec<Axis> = names.iter().filter_map(named).collect();
+        if axes.is_empty() { shots() } else { axes }
+    }
+
     /// The keys that apply to every exposure of the rule.
     #[must_use]
     pub fn record_keys(&self) -> RecordKeys {
         RecordKeys {
-            segments: self.segments.clone(),
+            segments: self.counted(),
             averaged_shots: self.averaged_shots,
             attenuation_od: self.attenuation_od,
             power_w: self.power_w,
@@ -285,6 +307,12 @@ impl CaptureRule {
             offset_v: self.offset_v,
             t0_ps: self.t0_ps,
             samples: self.samples,
+            unit: self.unit.clone(),
+            time_unit: self.time_unit.clone(),
+            variable: self.variable.clone(),
+            axes: self.axes.clone(),
+            bin_ps: self.bin_ps,
+            marker: self.marker,
         }
     }
 }
@@ -307,6 +335,27 @@ pub struct RecordKeys {
     pub offset_v: Option<f64>,
     pub t0_ps: Option<f64>,
     pub samples: Option<[u64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_unit: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub variable: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axes: Option<Vec<String>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bin_ps: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub marker: Option<u32>,
+}
+
+impl RecordKeys {
+    /// What they say to the reader of a file.
+    #[must_use]
+    pub fn description(&self) -> Description {
+        let Self { unit, time_unit, variable, axes, bin_ps, marker, .. } = self.clone();
+        Description { unit, time_unit, variable, axes, bin_ps, marker }
+    }
 }
 
 /// What was captured.
@@ -438,32 +487,4 @@ pub fn exclude_place(index: usize) -> String {
 
 fn shots() -> Vec<Axis> {
     vec![Axis::Shot]
-}
-
-/// One axis (`"shot"`) or a list of them (`["lit", "seen", "shot"]`).
-fn axes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Axis>, D::Error> {
-    struct OneOrMore;
-
-    impl<'de> Visitor<'de> for OneOrMore {
-        type Value = Vec<Axis>;
-
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("an axis such as \"shot\", or a list such as [\"lit\", \"seen\", \"shot\"]")
-        }
-
-        fn visit_str<E: de::Error>(self, text: &str) -> Result<Vec<Axis>, E> {
-            let name = de::value::StrDeserializer::<E>::new(text);
-            Ok(vec![Axis::deserialize(name)?])
-        }
-
-        fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<Axis>, A::Error> {
-            let mut axes = Vec::new();
-            while let Some(axis) = items.next_element()? {
-                axes.push(axis);
-            }
-            Ok(axes)
-        }
-    }
-
-    deserializer.deserialize_any(OneOrMore)
 }

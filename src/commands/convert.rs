@@ -14,7 +14,8 @@ use super::output::{note, say};
 #[derive(Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct Convert {
-    /// Capture: y-tal or Z-NLOS (.hdf5), or a confocal scan (.mat with `rect_data` or `meas`)
+    /// Capture: y-tal or Z-NLOS (.hdf5), a confocal scan (.mat with `rect_data` or `meas`), or `counts` with a list
+    /// `lit_m` of points (.hdf5, .mat)
     capture: PathBuf,
     /// Folder for the campaign; must be empty or absent
     #[arg(long, value_name = "DIR")]
@@ -37,13 +38,13 @@ pub struct Convert {
     /// Time behind the wall's own light from which on light counts; default: found in the histograms
     #[arg(long, alias = "gate", value_name = "PS")]
     gate_ps: Option<f64>,
-    /// MAT-files: width of a bin
+    /// Scans and lists of points: width of a bin
     #[arg(long, value_name = "PS")]
     dt_ps: Option<f64>,
     /// MAT-files: side of the scanned square, instead of `width`
     #[arg(long, value_name = "M")]
     wall_m: Option<f64>,
-    /// MAT-files: start time of the first bin, after the light's arrival at the wall
+    /// Scans and lists of points: start time of the first bin; of scans after the light's arrival at the wall
     #[arg(long, value_name = "PS", allow_negative_numbers = true)]
     start_ps: Option<f64>,
     /// MAT-files: the file with `tofgrid`, the delay of each point

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use periscope::campaign::Campaign;
-use periscope::exchange::{self, ply};
+use periscope::exchange::{self, las, ply};
 use periscope::formats::npy;
 use periscope::store::Shelf;
 use periscope::tables::{Echo, Image, Patch, Row, SurfacePoint, Vertex, VolumeRow};
@@ -27,7 +27,8 @@ pub struct Export {
     /// Result folder
     results: PathBuf,
     /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface; --mesh: the
-    /// surface between them; where there are no patches but echoes of a lidar, or with --echoes: these), .hdf5 for the
+    /// surface between them; where there are no patches but echoes of a lidar, or with --echoes: these), .las for echoes
+    /// of a lidar, .hdf5 for the
     /// profiles as a capture of y-tal (--volume: the volume of an image), .npy for the volume of an image
     /// (--surface-points, --mesh: the points, the nodes)
     file: PathBuf,
@@ -42,7 +43,7 @@ pub struct Export {
     /// `meshes.vertices`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "meshes.vertices", conflicts_with = "surface_points")]
     mesh: Option<String>,
-    /// .ply: echoes of a lidar from this table, in place of patches [default: `echoes`]
+    /// .ply, .las: echoes of a lidar from this table, in place of patches [default: `echoes`]
     #[arg(long, value_name = "TABLE", num_args = 0..=1, default_missing_value = "echoes")]
     echoes: Option<String>,
     /// .hdf5: the campaign that was run, which says where laser and sensor are
@@ -97,7 +98,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
             say!("{}: {} nodes, {} numbers each", args.file.display(), shape[0], shape[1])?;
         }
-        Some("ply") if let Some(view) = &echoes_view => write_echoes(&shelf, args, view)?,
+        Some(ending @ ("ply" | "las")) if let Some(view) = &echoes_view => write_echoes(&shelf, args, view, ending)?,
         Some("ply") => {
             let patches: Vec<Patch> = rows(&shelf, patches_view)?;
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
@@ -139,7 +140,8 @@ pub fn export(args: &Export) -> Result<ExitCode> {
         _ => {
             let file = args.file.display();
             bail!(
-                "{file}: end the name in .ply for patches or points, .hdf5 for profiles or .npy for a volume or points"
+                "{file}: end the name in .ply for patches or points, .las for echoes of a lidar (--echoes names their table), \
+                 .hdf5 for profiles or .npy for a volume or points"
             )
         }
     }
@@ -156,9 +158,12 @@ fn echoes_view(shelf: &Shelf, args: &Export) -> Result<Option<String>> {
     })
 }
 
-fn write_echoes(shelf: &Shelf, args: &Export, view: &str) -> Result<()> {
+fn write_echoes(shelf: &Shelf, args: &Export, view: &str, ending: &str) -> Result<()> {
     let echoes: Vec<Echo> = rows(shelf, view)?;
-    whole_file::write(&args.file, |out| ply::write_echoes(out, &echoes))?;
+    whole_file::write(&args.file, |out| match ending {
+        "las" => las::write(out, &echoes),
+        _ => ply::write_echoes(out, &echoes),
+    })?;
     say!("{}: {} echoes", args.file.display(), echoes.len())
 }
 

@@ -11,13 +11,13 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use periscope::formats::{self, Contents, Input, Joined, Source, npy};
+use periscope::formats::{self, Contents, Description, Input, Joined, Source, npy};
 use periscope::waveform::Record;
 use serde_json::json;
 
 use super::output::{Closed, Format, Output, Rows, Stream, note, say};
 use super::whole_file;
-use line::{TIME, line, with_unit};
+use line::{TIME, line, missing_units, with_unit};
 use plot::Plot;
 use summary::Summary;
 
@@ -33,6 +33,24 @@ pub struct Inspect {
     /// Only this segment
     #[arg(long, value_name = "NUMBER")]
     segment: Option<u32>,
+    /// Unit of the values of a text whose heading names none
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<String>,
+    /// Unit of its times
+    #[arg(long, value_name = "UNIT")]
+    time_unit: Option<String>,
+    /// Array with the samples, in a file that holds several
+    #[arg(long, value_name = "NAME")]
+    variable: Option<String>,
+    /// Names of its axes, with commas between; `time` counts samples
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    axes: Option<Vec<String>>,
+    /// Width of the bins into which photon events are counted
+    #[arg(long, value_name = "PS")]
+    bin_ps: Option<f64>,
+    /// Marker, from 1, at each of whose events a new histogram of photons begins
+    #[arg(long, value_name = "NUMBER")]
+    marker: Option<u32>,
     /// Draw each waveform as a small plot
     #[arg(long)]
     plot: bool,
@@ -122,7 +140,16 @@ fn open(args: &Inspect, file: &Path) -> Result<Opened> {
     if file.is_dir() {
         bail!("is a folder; name the files in it, such as {}", file.join("*").display());
     }
-    let mut source = Source::open(file)?;
+    let Inspect { unit, time_unit, variable, axes, bin_ps, marker, .. } = args;
+    let (unit, time_unit, variable, axes) = (unit.clone(), time_unit.clone(), variable.clone(), axes.clone());
+    let mut source = Source::open(file)?.described(Description {
+        unit,
+        time_unit,
+        variable,
+        axes,
+        bin_ps: *bin_ps,
+        marker: *marker,
+    });
     let Contents { mut records, remarks } = formats::contents(&mut source)?;
     let is_asked_for = |record: &Record| {
         args.channel.as_ref().is_none_or(|channel| record.head.channel.as_ref() == Some(channel))
@@ -191,6 +218,9 @@ fn lines_of_file(args: &Inspect, file: &Path) -> Result<()> {
     say!("{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
     for remark in &remarks {
         say!("  remark: {remark}")?;
+    }
+    if let Some(keys) = missing_units(&records) {
+        say!("  {keys}")?;
     }
     if records.len() > LINES {
         return lines_of_channels(&mut source, &records);

@@ -37,6 +37,8 @@ pub(super) fn read(mut arrays: Arrays, defaults: &Defaults, delays: Option<&Arra
     }
     let late_ps = match arrays.get("tofgrid").or_else(|| delays?.get("tofgrid")) {
         Some(late) if late.axes == [ys, xs] => late.values(),
+        // Rectified: the times of all points count from the same moment, such as a `tofgrid` of 0 says.
+        Some(late) if late.count() == 1 => vec![late.values()[0]; xs * ys],
         Some(late) => return Err(format!("has {xs} x {ys} points, but tofgrid has axes {:?}", late.axes)),
         None if delays.is_some() => return Err("has its delays in a file without `tofgrid`; correct --tof".to_owned()),
         None if is_raw && defaults.start_ps.is_none() => {
@@ -124,6 +126,10 @@ mod tests {
                 assert_eq!(histogram, [0, 1, 2].map(|bin| counts(point, bin)), "{axes:?} {point}");
             }
         }
+        // A scan that is rectified already says so by a single delay.
+        let scan = [("meas", Array::of(&[3, 2, 2], &[1.0; 12])), ("tofgrid", Array::of(&[1, 1], &[0.0]))];
+        let scan: Arrays = scan.into_iter().map(|(name, array)| (name.to_owned(), array)).collect();
+        assert!(read(scan, &defaults, None).unwrap().pairs.iter().all(|pair| pair.start_ps == 0.0));
         assert!(Order::of(&[2, 3, 2]).unwrap_err().contains("between x and y"));
         assert!(Order::of(&[2, 3]).unwrap_err().contains("three"));
     }

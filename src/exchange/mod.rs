@@ -5,9 +5,9 @@
 //! |---|---|
 //! | `capture` | what is a capture, whatever its format? |
 //! | `read` | which format has a file? |
-//! | `y_tal`, `z_nlos`, `confocal_mat` | where does each format store what? |
+//! | `y_tal`, `z_nlos`, `confocal_mat`, `point_lists` | where does each format store what? |
 //! | `campaign_folder` | which campaign does it become? |
-//! | `ply` | patches as a point cloud |
+//! | `ply`, `las` | patches as a point cloud, echoes of a lidar as one |
 //! | `profiles_to_capture`, `y_tal_file` | profiles as a capture of y-tal |
 //! | `volume` | the volume of an image as a file that y-tal reads |
 //!
@@ -16,7 +16,9 @@
 mod campaign_folder;
 mod capture;
 mod confocal_mat;
+pub mod las;
 pub mod ply;
+mod point_lists;
 mod profiles_to_capture;
 mod read;
 mod volume;

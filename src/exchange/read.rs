@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{Capture, ExchangeError, confocal_mat, y_tal, z_nlos};
+use super::{Capture, ExchangeError, confocal_mat, point_lists, y_tal, z_nlos};
 use crate::formats::array::Arrays;
 use crate::formats::hdf5::{self, Hdf5};
 use crate::formats::{FormatError, Input, Reader, Source, mat5};
@@ -31,7 +31,7 @@ pub struct Defaults<'a> {
 /// When the file cannot be read, has another format, or lacks a value that `defaults` does not give either.
 pub fn read(path: &Path, defaults: &Defaults) -> Result<Capture, ExchangeError> {
     let unfit = |problem: String| ExchangeError::Unfit { path: path.to_owned(), problem };
-    let (arrays, names) = arrays(path, defaults.most_bytes)?;
+    let (arrays, names, is_matlab) = arrays(path, defaults.most_bytes)?;
     let has = |name: &str| arrays.contains_key(name);
     let capture = if has("H") {
         y_tal::read(arrays)
@@ -39,11 +39,14 @@ pub fn read(path: &Path, defaults: &Defaults) -> Result<Capture, ExchangeError> 
         z_nlos::read(arrays)
     } else if has("rect_data") || has("meas") {
         let delays =
-            defaults.delays.map(|path| self::arrays(path, defaults.most_bytes)).transpose()?.map(|(arrays, _)| arrays);
+            defaults.delays.map(|path| self::arrays(path, defaults.most_bytes)).transpose()?.map(|(arrays, ..)| arrays);
         confocal_mat::read(arrays, defaults, delays.as_ref())
+    } else if has("counts") && has("lit_m") {
+        point_lists::read(arrays, defaults, is_matlab)
     } else {
         Err(format!(
-            "holds {names:?}: neither a capture of y-tal (H), nor of Z-NLOS (data, cameraGridPositions), nor a confocal MAT-file (rect_data or meas); \
+            "holds {names:?}: neither a capture of y-tal (H), nor of Z-NLOS (data, cameraGridPositions), nor a confocal MAT-file (rect_data or meas), \
+             nor counts with a list of points (counts, lit_m); \
              write what y-tal can convert in its own format first (docs/interoperation.md)"
         ))
     };
@@ -60,21 +63,28 @@ pub fn read(path: &Path, defaults: &Defaults) -> Result<Capture, ExchangeError> 
     Ok(capture)
 }
 
-/// The arrays that any of the formats needs, and the names of all arrays.
-fn arrays(path: &Path, most_bytes: Option<u64>) -> Result<(Arrays, Vec<String>), ExchangeError> {
+/// The arrays that any of the formats needs, the names of all arrays, and whether MATLAB wrote them: with their axes in
+/// reverse order.
+fn arrays(path: &Path, most_bytes: Option<u64>) -> Result<(Arrays, Vec<String>, bool), ExchangeError> {
     let failed = |source: FormatError| ExchangeError::Read { path: path.to_owned(), source };
     let most_bytes = most_bytes.unwrap_or(u64::MAX);
-    let wanted = |name: &str| [&y_tal::NAMES[..], &z_nlos::NAMES, &confocal_mat::NAMES].concat().contains(&name);
+    let wanted = |name: &str| {
+        let names = [&y_tal::NAMES[..], &z_nlos::NAMES, &confocal_mat::NAMES, &point_lists::NAMES];
+        names.concat().contains(&name)
+    };
     let mut source = Source::open(path).map_err(failed)?;
     let length = source.length();
     let head = source.bytes("the head", 0, length.min(HEAD_BYTES)).map_err(failed)?;
     if mat5::recognises(&head) {
-        return mat5::arrays(&mut source, wanted, most_bytes).map_err(failed);
+        let (arrays, names) = mat5::arrays(&mut source, wanted, most_bytes).map_err(failed)?;
+        return Ok((arrays, names, true));
     }
-    if !Hdf5.recognises(&head) && !head.get(512..).is_some_and(|head| Hdf5.recognises(head)) {
+    let is_matlab = head.get(512..).is_some_and(|head| Hdf5.recognises(head));
+    if !Hdf5.recognises(&head) && !is_matlab {
         let problem =
             "is neither HDF5 nor a MAT-file of version 5 to 7.3; give a capture such as y-tal writes".to_owned();
         return Err(ExchangeError::Unfit { path: path.to_owned(), problem });
     }
-    hdf5::arrays(&mut source, wanted, most_bytes).map_err(failed)
+    let (arrays, names) = hdf5::arrays(&mut source, wanted, most_bytes).map_err(failed)?;
+    Ok((arrays, names, is_matlab))
 }

@@ -60,6 +60,15 @@ pub(super) fn read(mut arrays: Arrays) -> Result<Capture, String> {
             pairs.len()
         ));
     }
+    // A grid as a list says nothing of the order of its axes.
+    let grids: Vec<usize> = if is_exhaustive { [&lit.axes[..], &seen.axes].concat() } else { seen.axes.clone() };
+    if grids.len() == points.len() && grids != points {
+        return Err(format!(
+            "has an H with axes {:?}, but the grids of points have the axes {grids:?}; times come first, then the axes \
+             of the grids in their order",
+            h.axes
+        ));
+    }
     let pair = |(offset, (lit, seen)): (usize, (usize, usize))| Pair { lit, seen, start_ps, offset };
     Ok(Capture {
         format: "y-tal",

@@ -121,7 +121,7 @@ fn grid(arrays: &Arrays, name: &str) -> Result<Grid, String> {
 }
 
 /// An array with its axes in reverse order.
-fn reversed(array: &Array) -> Array {
+pub(super) fn reversed(array: &Array) -> Array {
     let stride = strides(&array.axes);
     let axes: Vec<usize> = array.axes.iter().rev().copied().collect();
     let values = array.values();

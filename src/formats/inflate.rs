@@ -64,6 +64,11 @@ impl Unpacker {
         }
     }
 
+    /// Whether its range is not packed at all.
+    pub fn is_stored(&self) -> bool {
+        self.state.is_none()
+    }
+
     /// Number of unpacked bytes so far.
     pub fn position(&self) -> u64 {
         self.position

@@ -57,6 +57,7 @@
 //! | [`waveform`] | [`Record`]: head, time base, scale, and where its codes lie |
 //! | [`accounting`] | which bytes of a file were used, and what is said of the others ([`Remark`]) |
 //! | [`mod@reader`] | the trait [`Reader`], the file as a reader sees it ([`Source`]), [`FormatError`] |
+//! | [`description`] | what a caller says about a file that does not say it: units, the array to read |
 //! | [`companions`] | the second file of formats that keep head and samples apart |
 //! | [`lecroy_trc`], [`lecroy_1_0`] | Teledyne LeCroy |
 //! | [`tek_wfm`], [`tek_isf`] | Tektronix; its `.h5` files are in [`hdf5`] |
@@ -71,6 +72,7 @@
 //! | [`tdms`] | National Instruments |
 //! | [`pulse_waves`], [`las`], [`lidar`] | lidars, and the beam of each of their pulses |
 //! | [`csv`], [`npy`], [`npz`], [`wav`], [`sigrok_sr`] | formats that many programs write |
+//! | [`mat`] | one array of a MATLAB file |
 //! | [`mat5`], [`array`](mod@array) | arrays by name, for files that hold whole data sets |
 //!
 //! [`READERS`] lists all readers; [`records`] asks them in that order. `lecroy_trc`, `tek_wfm`, `keysight_bin`, `npy`,
@@ -97,7 +99,9 @@ pub mod caen_compass;
 pub mod caen_wavedump;
 pub mod companions;
 pub mod csv;
+pub mod description;
 pub mod drs4;
+mod grid;
 pub mod hdf5;
 #[cfg(test)]
 mod hostile;
@@ -107,6 +111,7 @@ pub mod las;
 pub mod lecroy_1_0;
 pub mod lecroy_trc;
 pub mod lidar;
+pub mod mat;
 pub mod mat5;
 mod named;
 pub mod npy;
@@ -131,12 +136,13 @@ mod zip_file;
 use std::io::{Read, Seek};
 
 pub use accounting::Remark;
+pub use description::Description;
 pub use reader::{FormatError, Input, Joined, Reader, Source};
 
 use crate::waveform::Record;
 
 /// The formats. Those with a mark in their first bytes stand before those that accept any text.
-pub const READERS: [&dyn Reader; 25] = [
+pub const READERS: [&dyn Reader; 26] = [
     &lecroy_trc::LecroyTrc,
     &npy::Npy,
     &hdf5::Hdf5,
@@ -155,6 +161,7 @@ pub const READERS: [&dyn Reader; 25] = [
     &caen_compass::CaenCompass,
     &drs4::Drs4,
     &picoscope_mat::PicoscopeMat,
+    &mat::Mat,
     &picoquant::PicoquantPhu,
     &picoquant::PicoquantPtu,
     &becker_hickl_sdt::BeckerHicklSdt,
@@ -199,7 +206,9 @@ pub struct Contents {
 /// # Errors
 /// When no reader recognises the file, or when its reader refuses it.
 pub fn contents<F: Read + Seek>(source: &mut Source<F>) -> Result<Contents, FormatError> {
-    let records = reader(source)?.records(source)?;
+    let reader = reader(source)?;
+    source.description().check(reader.format(), reader.keys())?;
+    let records = reader.records(source)?;
     let remarks = source.remarks(&records);
     Ok(Contents { records, remarks })
 }

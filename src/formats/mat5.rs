@@ -41,6 +41,47 @@ pub fn arrays(
     most_bytes: u64,
 ) -> Result<(Arrays, Vec<String>), FormatError> {
     let (mut arrays, mut names) = (Arrays::new(), Vec::new());
+    each(input, |input, stream| {
+        if let Some((name, array)) = stream.variable(input, &wanted, most_bytes)? {
+            arrays.extend(array.map(|array| (name.clone(), array)));
+            names.push(name);
+        }
+        Ok(())
+    })?;
+    Ok((arrays, names))
+}
+
+/// An array of real numbers, and where they are.
+#[derive(Debug)]
+pub(super) struct Variable {
+    pub name: String,
+    /// Lengths of its axes, as MATLAB has them: the first is contiguous.
+    pub lengths: Vec<u64>,
+    pub code_type: CodeType,
+    /// Whether they are 64 bit integers, which become floating numbers in memory.
+    pub is_long: bool,
+    /// Where its first number is in the file; `None`: its variable is compressed.
+    pub byte_offset: Option<u64>,
+    /// Bytes of its numbers in memory.
+    pub bytes: u64,
+}
+
+/// Returns all arrays of two and more real numbers, without these.
+pub(super) fn variables(input: &mut dyn Input) -> Result<Vec<Variable>, FormatError> {
+    let mut variables = Vec::new();
+    each(input, |input, stream| {
+        variables.extend(stream.layout(input)?);
+        Ok(())
+    })?;
+    Ok(variables)
+}
+
+/// Passes on the variables of a file in order, and counts their bytes as used.
+fn each(
+    input: &mut dyn Input,
+    mut take: impl FnMut(&mut dyn Input, &mut Stream) -> Result<(), FormatError>,
+) -> Result<(), FormatError> {
+    input.uses(0..HEAD.min(input.length()));
     let mut at = HEAD;
     while at + TAG <= input.length() {
         let tag = input.bytes("a tag", at, TAG)?;
@@ -59,13 +100,11 @@ pub fn arrays(
                 ));
             }
         };
-        if let Some((name, array)) = stream.variable(input, &wanted, most_bytes)? {
-            arrays.extend(array.map(|array| (name.clone(), array)));
-            names.push(name);
-        }
+        take(input, &mut stream)?;
+        input.uses(start..start + bytes);
         at = start + bytes;
     }
-    Ok((arrays, names))
+    Ok(())
 }
 
 fn refuse(byte_offset: u64, problem: impl Into<String>) -> FormatError {
@@ -90,6 +129,13 @@ struct Element {
     bytes: u64,
     /// Data of a small element, which its tag holds.
     small: Option<Vec<u8>>,
+}
+
+/// What stands before the numbers of a variable; lengths of its axes as MATLAB has them.
+struct Head {
+    name: String,
+    is_real: bool,
+    axes: Vec<u64>,
 }
 
 impl Stream {
@@ -153,6 +199,51 @@ impl Stream {
         self.data(input, element)
     }
 
+    /// Reads what stands before the numbers of a variable; `None` for one without a name.
+    fn head(&mut self, input: &mut dyn Input) -> Result<Option<Head>, FormatError> {
+        let flags = self.short(input, "the flags")?;
+        let dimensions = self.short(input, "the dimensions")?;
+        let name = self.short(input, "the name")?;
+        let name = String::from_utf8_lossy(&name).into_owned();
+        let (Some(class), Some(flag)) = (flags.first(), flags.get(1)) else {
+            return Err(refuse(self.place, "a variable has no flags; copy the file again"));
+        };
+        let is_real = NUMERIC.contains(class) && flag & COMPLEX == 0;
+        let axes = dimensions.chunks_exact(4).map(|length| u64::from(u32_at(length, 0))).collect();
+        Ok((!name.is_empty()).then_some(Head { name, is_real, axes }))
+    }
+
+    /// Where the numbers of a variable are, if it is an array of two and more real ones.
+    fn layout(&mut self, input: &mut dyn Input) -> Result<Option<Variable>, FormatError> {
+        let Some(Head { name, is_real: true, axes }) = self.head(input)? else { return Ok(None) };
+        let element = self.element(input)?;
+        let (width, long) = width(element.kind).ok_or_else(|| self.no_type(&name, element.kind))?;
+        if array::bytes_of(&axes, width) != Some(element.bytes) || element.bytes > self.left.max(TAG) {
+            return Err(self.no_fit(&name, element.bytes));
+        }
+        if element.small.is_some() || element.bytes < 2 * width as u64 {
+            return Ok(None);
+        }
+        let byte_offset = self.unpacker.is_stored().then(|| self.place + self.unpacker.position());
+        Ok(Some(Variable {
+            name,
+            lengths: axes,
+            code_type: code_type(element.kind),
+            is_long: long.is_some(),
+            byte_offset,
+            bytes: element.bytes,
+        }))
+    }
+
+    fn no_type(&self, name: &str, kind: u32) -> FormatError {
+        refuse(self.place, format!("{name} holds numbers of type {kind}; copy the file again"))
+    }
+
+    fn no_fit(&self, name: &str, bytes: u64) -> FormatError {
+        let problem = format!("{name} holds {bytes} bytes, not those of its dimensions; copy the file again");
+        refuse(self.place, problem)
+    }
+
     /// Returns the name of the variable, and its numbers if it is wanted and has real ones; `None` for one without a
     /// name.
     fn variable(
@@ -161,28 +252,16 @@ impl Stream {
         wanted: &impl Fn(&str) -> bool,
         most_bytes: u64,
     ) -> Result<Option<(String, Option<Array>)>, FormatError> {
-        let flags = self.short(input, "the flags")?;
-        let dimensions = self.short(input, "the dimensions")?;
-        let name = self.short(input, "the name")?;
-        let name = String::from_utf8_lossy(&name).into_owned();
-        let (Some(class), Some(flag)) = (flags.first(), flags.get(1)) else {
-            return Err(refuse(self.place, "a variable has no flags; copy the file again"));
-        };
-        if name.is_empty() {
-            return Ok(None);
-        }
-        if !wanted(&name) || !NUMERIC.contains(class) || flag & COMPLEX != 0 {
+        let Some(head) = self.head(input)? else { return Ok(None) };
+        let Head { name, is_real, mut axes } = head;
+        if !wanted(&name) || !is_real {
             return Ok(Some((name, None)));
         }
-        let axes: Vec<u64> = dimensions.chunks_exact(4).rev().map(|length| u64::from(u32_at(length, 0))).collect();
+        axes.reverse();
         let element = self.element(input)?;
-        let (width, long) = width(element.kind).ok_or_else(|| {
-            refuse(self.place, format!("{name} holds numbers of type {}; copy the file again", element.kind))
-        })?;
+        let (width, long) = width(element.kind).ok_or_else(|| self.no_type(&name, element.kind))?;
         if array::bytes_of(&axes, width) != Some(element.bytes) {
-            let problem =
-                format!("{name} holds {} bytes, not those of its dimensions; copy the file again", element.bytes);
-            return Err(refuse(self.place, problem));
+            return Err(self.no_fit(&name, element.bytes));
         }
         array::check_size(&name, element.bytes, most_bytes).map_err(|problem| refuse(self.place, problem))?;
         let kind = element.kind;
@@ -223,4 +302,4 @@ fn code_type(kind: u32) -> CodeType {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -8,7 +8,7 @@ type Entry = (&'static [u8], &'static [&'static str], &'static str, &'static str
 const PTU: &str = "convert it to .ptu or .phu with the maker's software";
 const NPY: &str = "save the samples as .npy, with the last axis over time";
 
-const FORMATS: [Entry; 20] = [
+const FORMATS: [Entry; 18] = [
     (b"PicoHarp 300", &["pt2", "pt3"], "PicoQuant PicoHarp events of before 2014 (.pt2, .pt3)", PTU),
     (b"PicoHarp 300", &[], "PicoQuant PicoHarp histograms of before 2014 (.phd)", PTU),
     (b"HydraHarp 400", &["ht2", "ht3"], "PicoQuant HydraHarp events of before 2014 (.ht2, .ht3)", PTU),
@@ -18,13 +18,6 @@ const FORMATS: [Entry; 20] = [
     (b"", &["spc"], "Becker & Hickl photon events (.spc)", "save the histograms as .sdt in SPCM"),
     (b"TDSh", &[], "the index of a National Instruments TDMS file", "name the .tdms of the same name"),
     (b"root", &[], "a ROOT file", NPY),
-    (b"MATLAB 5.0 MAT-file", &[], "a MATLAB file", "use `convert` for a confocal capture, or save the samples as .npy"),
-    (
-        b"MATLAB 7.3 MAT-file",
-        &[],
-        "a MATLAB 7.3 file",
-        "use `convert` for a confocal capture, or save the samples as .npy",
-    ),
     (b"PulseWavesWave", &[], "the second file of a PulseWaves lidar file", "name the .pls of the same name"),
     (b"", &["wdp"], "the second file of a LAS lidar file", "name the .las of the same name"),
     (b"DRS4", &[], "events of a DRS4 evaluation board in another version", "save them with DRSOsc, or as .npy"),
@@ -63,7 +56,6 @@ mod tests {
             (&[0x5F, 0, 0, 0x80], "a.spc", "Becker & Hickl photon events"),
             (b"TDSh\x0e\0\0\0", "a.tdms_index", "TDMS"),
             (b"root\0\0\xf7\x48", "a.root", "ROOT"),
-            (b"MATLAB 5.0 MAT-file, Platform: PCWIN", "a.mat", "`convert`"),
             (b"PulseWavesWaves\0", "a.wvs", "PulseWaves"),
             (b"\0\0LASF_Spec", "a.wdp", "LAS"),
             (b"TIMEB#", "a.dat", "DRS4 evaluation board of before 2014"),

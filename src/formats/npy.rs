@@ -1,14 +1,15 @@
-//! NumPy `.npy`: integer and floating arrays. The last axis counts samples; the campaign names the leading ones. In
-//! Fortran order, as MATLAB and R write, the samples of a record lie apart, and are read one by one.
+//! NumPy `.npy`: integer and floating arrays. The last axis counts samples, unless the caller names the axes. Where the
+//! samples of a record lie apart, as in the Fortran order that MATLAB and R write, they are read one by one.
 //!
 //! The file has no scale and no time base. Structured and complex types are refused. Source: NumPy
 //! Enhancement Proposal 1; the header is a Python dictionary of three keys.
 
 use std::io::{self, Write};
-use std::sync::Arc;
 
+use super::description::Key;
+use super::grid::Grid;
 use super::reader::{FormatError, Input, Reader};
-use crate::waveform::{CodeType, Head, Payload, Record};
+use crate::waveform::{CodeType, Record};
 
 /// The reader.
 pub struct Npy;
@@ -26,23 +27,19 @@ impl Reader for Npy {
     fn recognises(&self, head: &[u8]) -> bool {
         head.starts_with(b"\x93NUMPY")
     }
+    fn keys(&self) -> &'static [Key] {
+        &[Key::Axes]
+    }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let bytes = input.peek("the header", 0, input.length().min(HEADER_BYTES))?;
-        let Some(array) = Array::read(&bytes, input.length())? else {
+        let Some(array) = Array::read(&bytes, input.length(), input.description().axes.as_deref())? else {
             return Err(refuse("a single number is no waveform"));
         };
-        array.limit(input.length(), 0, size_of::<Record>())?;
+        array.grid.limit(input.length(), 0, size_of::<Record>())?;
         input.uses(0..array.data);
-        let head = Arc::new(array.head(self.format()));
-        let record = |i: u64| Record {
-            head: Arc::clone(&head),
-            segment: array.segment(i),
-            t0_s: None,
-            trigger_s: None,
-            payload: array.payload(i, 0),
-        };
-        Ok((0..array.records).map(record).collect())
+        let payload = |i: u64| array.grid.payload(i, array.data, array.code_type, array.big_endian);
+        Ok(array.grid.list(array.grid.head(self.format(), array.code_type), payload))
     }
 }
 
@@ -56,23 +53,19 @@ pub(super) struct Array {
     pub big_endian: bool,
     /// Where its numbers begin.
     pub data: u64,
-    /// The last axis.
-    samples: u64,
-    /// The leading axes, and their product.
-    axes: Vec<usize>,
-    pub records: u64,
-    /// Whether the first axis is the one whose neighbours lie side by side (Fortran order, as MATLAB and R write).
-    is_fortran: bool,
+    /// Where its records lie among them.
+    pub grid: Grid,
 }
 
 impl Array {
-    /// Parses the first bytes of an array of `length` bytes, header included; `None` for a single number.
-    pub fn read(bytes: &[u8], length: u64) -> Result<Option<Self>, FormatError> {
+    /// Parses the first bytes of an array of `length` bytes, header included; `None` for a single number. Its axes may
+    /// have names.
+    pub fn read(bytes: &[u8], length: u64, names: Option<&[String]>) -> Result<Option<Self>, FormatError> {
         let (text, data) = header_text(bytes).map_err(refuse)?;
         let Header { descr, fortran_order, shape } = Header::parse(text).map_err(refuse)?;
-        let Some((&samples, axes)) = shape.split_last() else {
+        if shape.is_empty() {
             return Ok(None);
-        };
+        }
         let (code_type, big_endian) = code_type(descr).ok_or_else(|| {
             refuse(format!("numbers of type {descr} are not read; save them as i1, i2, i4, u1, u2, f4 or f8"))
         })?;
@@ -89,68 +82,18 @@ impl Array {
                 return Err(FormatError::Field { byte_offset: data, problem });
             }
         }
-        let axes: Vec<usize> = axes.iter().map(|&length| length as usize).collect();
-        let records = axes.iter().map(|&length| length as u64).product();
-        let is_fortran = fortran_order && records > 1;
-        Ok(Some(Self { code_type, big_endian, data, samples, axes, records, is_fortran }))
+        let grid = Grid::new(&shape, fortran_order, names)?;
+        Ok(Some(Self { code_type, big_endian, data, grid }))
     }
 
     /// Bytes of its numbers.
     pub fn bytes(&self) -> u64 {
-        self.records * self.record_bytes()
+        self.grid.records() * self.record_bytes()
     }
 
     /// Bytes of one record.
     pub fn record_bytes(&self) -> u64 {
-        self.samples * self.code_type.bytes() as u64
-    }
-
-    /// Whether each record lies in one run of bytes.
-    pub fn is_contiguous(&self) -> bool {
-        !self.is_fortran
-    }
-
-    /// Where the samples of a record are, in a file in which the array begins at `start`.
-    pub fn payload(&self, record: u64, start: u64) -> Payload {
-        let (width, big_endian) = (self.code_type.bytes() as u64, self.big_endian);
-        if !self.is_fortran {
-            return Payload::File {
-                byte_offset: start + self.data + record * self.record_bytes(),
-                stride: width,
-                big_endian,
-            };
-        }
-        // Records are counted in C order, with the last of the leading axes first; in the file the first axis is.
-        let (mut place, mut rest, mut step) = (0, record, self.records);
-        for &length in self.axes.iter().rev() {
-            step /= length as u64;
-            place += rest % length as u64 * step;
-            rest /= length as u64;
-        }
-        Payload::File { byte_offset: start + self.data + place * width, stride: self.records * width, big_endian }
-    }
-
-    pub fn segment(&self, record: u64) -> Option<u32> {
-        (self.records > 1).then_some(record as u32)
-    }
-
-    /// Refuses an array of very many short records: their heads, `each` bytes long, would far exceed the file in
-    /// memory.
-    pub fn limit(&self, file_bytes: u64, before: usize, each: usize) -> Result<(), FormatError> {
-        let most = (3 * file_bytes.min(1 << 60) + (1 << 19)) / each as u64;
-        if self.records > most.min(u64::from(u32::MAX)).saturating_sub(before as u64) {
-            return Err(refuse(format!(
-                "{} records of {} samples are not read; samples are on the last axis: transpose the array, \
-                 or cut it into files",
-                self.records, self.samples
-            )));
-        }
-        Ok(())
-    }
-
-    pub fn head(&self, format: &'static str) -> Head {
-        let rails = self.code_type.limits();
-        Head { rails, shape: self.axes.clone(), ..Head::new(format, self.code_type, self.samples as usize) }
+        self.grid.samples() * self.code_type.bytes() as u64
     }
 }
 
@@ -363,7 +306,7 @@ mod tests {
     use npyz::WriterBuilder;
 
     fn read(bytes: &[u8]) -> Result<Option<Array>, FormatError> {
-        Array::read(bytes, bytes.len() as u64)
+        Array::read(bytes, bytes.len() as u64, None)
     }
 
     /// The same array in both orders: equal records in equal order.
@@ -412,8 +355,11 @@ mod tests {
             assert_eq!(parsed.into_vec::<i16>().unwrap(), values);
             for bytes in [ours, theirs] {
                 let array = read(&bytes).unwrap();
-                let lengths =
-                    array.map(|array| [array.axes.iter().map(|a| *a as u64).collect(), vec![array.samples]].concat());
+                let lengths = |array: Array| {
+                    let leading = array.grid.shape().into_iter().map(|length| length as u64);
+                    leading.chain([array.grid.samples()]).collect::<Vec<u64>>()
+                };
+                let lengths = array.map(lengths);
                 assert_eq!(lengths.unwrap_or_default(), shape);
             }
         }

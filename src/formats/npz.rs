@@ -1,9 +1,10 @@
 //! NumPy `.npz`: a zip file of `.npy` members, stored (`numpy.savez`) or deflated (`numpy.savez_compressed`).
 //!
-//! Each array is a channel with the member's name: its last axis counts samples, the leading ones count segments. The
-//! file has no scale and no time base, so values are the numbers themselves. An array named `time` is a channel like
-//! any other. Single numbers (arrays without axes) are omitted. Each read unpacks deflated members and compares their
-//! checksums at the end; stored members are not compared.
+//! Each array is a channel with the member's name: its last axis counts samples, the leading ones count segments. A
+//! caller may name one array (`variable`) and its axes. The file has no scale and no time base, so values are the
+//! numbers themselves. An array named `time` is a channel like any other. Single numbers (arrays without axes) are
+//! omitted. Each read unpacks deflated members and compares their checksums at the end; stored members are not
+//! compared. A deflated array whose samples lie apart is unpacked whole, if it is at most twice as large as the file.
 //!
 //! Refused by name: Zip64 (arrays of 4 GiB and more), encryption, and what the `.npy` reader refuses. Tested on files
 //! that the tests build and on files of NumPy; no file of an instrument was available.
@@ -12,11 +13,12 @@ use std::io;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
+use super::description::{Description, Key};
 use super::inflate::{Packing, Unpacker};
 use super::npy::{Array, HEADER_BYTES};
 use super::reader::{FormatError, Input, Reader};
 use super::zip_file::{self, Member};
-use crate::waveform::{CodeType, Payload, ReadSeek, Record, Unpack};
+use crate::waveform::{CodeType, Head, Payload, ReadSeek, Record, Unpack};
 
 /// The reader.
 pub struct Npz;
@@ -32,16 +34,26 @@ impl Reader for Npz {
         zip_file::first_name(head).is_some_and(|name| name.ends_with(b".npy"))
     }
 
+    fn keys(&self) -> &'static [Key] {
+        &[Key::Variable, Key::Axes]
+    }
+
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let mut records = Vec::new();
         let resumed = Arc::new(Resumed::default());
-        for member in zip_file::members(input)? {
+        let members = zip_file::members(input)?;
+        let description = input.description().clone();
+        let variable = variable(&description, &members)?;
+        let mut room = 2 * input.length() + (1 << 18);
+        for member in
+            members.into_iter().filter(|member| variable.as_deref().is_none_or(|variable| name(member) == variable))
+        {
             let named = |error: FormatError| {
                 let problem = format!("member {:?}: {error}", member.name);
                 FormatError::Field { byte_offset: member.byte_offset, problem }
             };
             let bytes = member.start(input.file(), HEADER_BYTES).map_err(|error| named(error.into()))?;
-            let Some(array) = Array::read(&bytes, member.length).map_err(named)? else {
+            let Some(array) = Array::read(&bytes, member.length, description.axes.as_deref()).map_err(named)? else {
                 continue;
             };
             if array.data + array.bytes() != member.length {
@@ -53,14 +65,11 @@ impl Reader for Npz {
                 );
                 return Err(FormatError::Field { byte_offset: member.byte_offset, problem });
             }
-            if member.packing != Packing::Stored && !array.is_contiguous() {
-                let problem =
-                    "is in Fortran order and compressed; save it with numpy.savez, or as numpy.ascontiguousarray";
-                return Err(named(FormatError::Field { byte_offset: 0, problem: problem.to_owned() }));
-            }
             let each = size_of::<Record>() + size_of::<Deflated>();
-            array.limit(input.length(), records.len(), each).map_err(named)?;
-            self.push(&mut records, member, &array, &resumed);
+            array.grid.limit(input.length(), records.len(), each).map_err(named)?;
+            let lies_apart = member.packing != Packing::Stored && !array.grid.is_contiguous();
+            let codes = lies_apart.then(|| unpack(input, &member, &array, &mut room)).transpose()?;
+            records.extend(self.records_of(member, &array, codes, &resumed));
         }
         if records.is_empty() {
             let problem = "holds no array of samples; save the waveforms with numpy.savez".to_owned();
@@ -70,27 +79,66 @@ impl Reader for Npz {
     }
 }
 
+/// Name of an array.
+fn name(member: &Member) -> &str {
+    member.name.strip_suffix(".npy").unwrap_or(&member.name)
+}
+
+/// The array that is to be read alone, if one is named. Axes can only be those of one array.
+fn variable(description: &Description, members: &[Member]) -> Result<Option<String>, FormatError> {
+    if description.variable.is_none() && description.axes.is_none() {
+        return Ok(None);
+    }
+    let names: Vec<&str> = members.iter().map(name).collect();
+    Ok(Some(names[description.array(&names)?].to_owned()))
+}
+
+/// The numbers of a compressed array, little-endian. `room` is what memory may still take.
+fn unpack(input: &mut dyn Input, member: &Member, array: &Array, room: &mut u64) -> Result<Arc<Vec<u8>>, FormatError> {
+    *room = room.checked_sub(array.bytes()).ok_or_else(|| {
+        let problem = format!(
+            "member {:?} unpacks to {} bytes, too many for its file, and the samples of a record lie apart; save it \
+             with numpy.savez, or with the samples on the last axis",
+            member.name,
+            array.bytes()
+        );
+        FormatError::Field { byte_offset: member.byte_offset, problem }
+    })?;
+    let mut unpacker = member.unpacker();
+    let mut codes = Vec::with_capacity(array.bytes() as usize);
+    let _ = member.unpack(&mut unpacker, input.file(), array.data, &mut |_| Ok(ControlFlow::Continue(())))?;
+    let _ = member.unpack(&mut unpacker, input.file(), array.bytes(), &mut |piece| {
+        codes.extend_from_slice(piece);
+        Ok(ControlFlow::Continue(()))
+    })?;
+    if array.big_endian {
+        array.code_type.swap_bytes(&mut codes);
+    }
+    Ok(Arc::new(codes))
+}
+
 impl Npz {
-    fn push(&self, records: &mut Vec<Record>, member: Member, array: &Array, resumed: &Arc<Resumed>) {
-        let mut head = array.head(self.format());
-        let name = &member.name;
-        head.channel = Some(name.strip_suffix(".npy").unwrap_or(name).to_owned());
-        let (head, member) = (Arc::new(head), Arc::new(member));
-        for i in 0..array.records {
-            let start = array.data + i * array.record_bytes();
-            let payload = match member.packing {
-                Packing::Stored => array.payload(i, member.byte_offset),
-                _ => Payload::Packed(Arc::new(Deflated {
-                    member: Arc::clone(&member),
-                    start,
-                    bytes: array.record_bytes(),
-                    swapped: array.big_endian.then_some(array.code_type),
-                    resumed: Arc::clone(resumed),
-                })),
-            };
-            let (head, segment) = (Arc::clone(&head), array.segment(i));
-            records.push(Record { head, segment, t0_s: None, trigger_s: None, payload });
-        }
+    fn records_of(
+        &self,
+        member: Member,
+        array: &Array,
+        codes: Option<Arc<Vec<u8>>>,
+        resumed: &Arc<Resumed>,
+    ) -> Vec<Record> {
+        let Array { code_type, big_endian, data, ref grid } = *array;
+        let head = Head { channel: Some(name(&member).to_owned()), ..grid.head(self.format(), code_type) };
+        let member = Arc::new(member);
+        grid.list(head, |i| match (&codes, member.packing) {
+            (Some(codes), _) => grid.gather(i, codes, code_type),
+            (None, Packing::Stored) => grid.payload(i, member.byte_offset + data, code_type, big_endian),
+            _ => Payload::Packed(Arc::new(Deflated {
+                member: Arc::clone(&member),
+                start: data + grid.start(i) * code_type.bytes() as u64,
+                bytes: array.record_bytes(),
+                swapped: big_endian.then_some(code_type),
+                resumed: Arc::clone(resumed),
+            })),
+        })
     }
 }
 
@@ -262,6 +310,41 @@ mod tests {
         let record = records(&damaged).unwrap().remove(0);
         let error = record.read(&mut Cursor::new(&damaged), 0..1000).unwrap_err().to_string();
         assert!(error.contains("checksum"), "{error}");
+    }
+
+    fn described(bytes: &[u8], variable: Option<&str>, axes: Option<&[&str]>) -> Result<Vec<Vec<f64>>, String> {
+        let axes = axes.map(|axes| axes.iter().map(ToString::to_string).collect());
+        let description = Description { variable: variable.map(str::to_owned), axes, ..Description::default() };
+        let mut source = Source::new(Cursor::new(bytes), Path::new("a.npz")).unwrap().described(description);
+        let records = crate::records(&mut source).map_err(|error| error.to_string())?;
+        Ok(records.iter().map(|record| values(record, bytes)).collect())
+    }
+
+    /// An array of 3 shots of 4 samples in both orders, each number 10 * shot + sample.
+    #[test]
+    fn a_named_array_is_read_in_any_order_of_axes() {
+        let c: Vec<i16> = (0..12).map(|n| 10 * (n / 4) + n % 4).collect();
+        let mut fortran = array(&[3, 4], &(0..12).map(|n| 10 * (n % 3) + n / 3).collect::<Vec<i16>>());
+        let at = fortran.windows(5).position(|bytes| bytes == b"False").expect("the order");
+        fortran[at..at + 5].copy_from_slice(b"True ");
+        let members = [("c.npy", array(&[3, 4], &c)), ("fortran.npy", fortran), ("x.npy", array(&[2], &[1.0, 2.0]))];
+        let members = members.each_ref().map(|(name, bytes)| (*name, bytes.as_slice()));
+        let shots = |shot: i16| (0..4).map(|sample| f64::from(10 * shot + sample)).collect::<Vec<f64>>();
+        let samples = |sample: i16| (0..3).map(|shot| f64::from(10 * shot + sample)).collect::<Vec<f64>>();
+        for deflate in [false, true] {
+            let bytes = zip(&members, deflate, Local::Lengths);
+            for name in ["c", "fortran.npy"] {
+                let (by_shot, by_sample) = ([0, 1, 2].map(shots), [0, 1, 2, 3].map(samples));
+                assert_eq!(described(&bytes, Some(name), None).unwrap(), by_shot, "{name}, deflated {deflate}");
+                assert_eq!(described(&bytes, Some(name), Some(&["shot", "time"])).unwrap(), by_shot);
+                assert_eq!(described(&bytes, Some(name), Some(&["time", "shot"])).unwrap(), by_sample);
+            }
+            assert_eq!(described(&bytes, None, None).unwrap().len(), 7, "each array is a channel");
+            let error = described(&bytes, Some("d"), None).unwrap_err();
+            assert!(error.contains("it has c, fortran, x"), "{error}");
+            let error = described(&bytes, None, Some(&["time", "shot"])).unwrap_err();
+            assert!(error.contains("`variable` is missing"), "{error}");
+        }
     }
 
     #[test]

@@ -4,9 +4,11 @@
 //! A file is a list of tags (name, index, type, value), then data. Bin i is at `t0_s` + i * dt. .phu: one record for
 //! each curve; dt is HistResDscr_MDescResolution, `t0_s` HistResDscr_MDescOffset (ns). .ptu in T3 mode: one record for
 //! each input channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as
-//! the latest photon of the file needs; markers are not counted, and photons of all pixels of an image are one
-//! histogram. The instrument subtracts the offset (0 by default) from each time after the sync. Channel numbers are
-//! those of the file: PicoHarps count from 1, others from 0. Several curves of one channel are its segments.
+//! the latest photon of the file needs; photons of all pixels of an image are one histogram, unless the caller names a
+//! `marker`: then each of its events begins a new one, a segment of its channel, and photons before the first are left
+//! out with a remark. `bin_ps` makes bins of several units of the time base. The instrument subtracts the offset (0 by
+//! default) from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from
+//! 0. Several curves of one channel are its segments.
 //!
 //! .ptu in T2 mode: times count from the last event of the sync channel (channel 0 of a PicoHarp); photons before the
 //! first one are left out, and a file without such events is refused. dt is the resolution times the smallest power of
@@ -26,9 +28,10 @@ use std::io::{self, SeekFrom};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use self::events::{Clock, Layout};
+use self::events::{Clock, Event, Layout, MARKERS};
 pub(crate) use self::tags::iso;
 use self::tags::{Tags, WHOLE};
+use super::description::{Description, Key};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{Head, Payload, ReadSeek, Record, Unpack};
 
@@ -48,6 +51,8 @@ const PIECE_BYTES: u64 = 1 << 16;
 const RECORDS: &str = "TTResult_NumberOfRecords";
 /// Most bins of a histogram that is made of absolute times.
 const MOST_BINS: u64 = 1 << 16;
+/// Largest deviation of a bin from a whole number of units of the time base, relative.
+const WHOLE_UNITS: f64 = 1e-6;
 /// Most curves of a file; instruments have up to 512.
 const MAX_CURVES: i32 = 1024;
 
@@ -136,6 +141,9 @@ impl Reader for PicoquantPtu {
     fn recognises(&self, head: &[u8]) -> bool {
         head.starts_with(EVENTS)
     }
+    fn keys(&self) -> &'static [Key] {
+        &[Key::Bin, Key::Marker]
+    }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let tags = Tags::read(input, EVENTS)?;
@@ -146,20 +154,23 @@ impl Reader for PicoquantPtu {
             None => tags.required_bin_s("MeasDesc_Resolution", WHOLE)?,
         };
         let t0_s = if is_t2 { Some(0.0) } else { Some(tags.offset_s("MeasDesc_Offset", WHOLE)?) };
-        let (mut times, mut channels) = (0, [false; 64]);
-        events.photons(input.file(), &mut |channel, time| {
-            channels[channel] = true;
-            times = times.max(time + 1);
-            Ok(())
-        })?;
-        let shift = (0..u64::BITS).find(|shift| times.div_ceil(1 << shift) <= MOST_BINS).unwrap_or_default();
-        let (bins, dt_s) = (times.div_ceil(1 << shift) as usize, unit_s * (1_u64 << shift) as f64);
-        let record = |channel: usize| {
-            let head = Head { channel: Some(channel.to_string()), ..tags.head(self.format(), bins, dt_s) };
-            let payload = Payload::Packed(Arc::new(Histogram { events, channel, bins, shift }));
-            Record { head: Arc::new(head), segment: None, t0_s, trigger_s: None, payload }
-        };
-        let records: Vec<Record> = (0..channels.len()).filter(|channel| channels[*channel]).map(record).collect();
+        let description = input.description().clone();
+        let Survey { times, channels, stretches, before } = events.survey(input, &description)?;
+        let per_bin = per_bin(times, unit_s, is_t2, &description)?;
+        let (bins, dt_s) = (times.div_ceil(per_bin) as usize, unit_s * per_bin as f64);
+        let mut records = Vec::new();
+        for channel in (0..channels.len()).filter(|channel| channels[*channel]) {
+            let head = Arc::new(Head { channel: Some(channel.to_string()), ..tags.head(self.format(), bins, dt_s) });
+            for (number, stretch) in stretches.iter().enumerate() {
+                let payload = Payload::Packed(Arc::new(Histogram { stretch: *stretch, channel, bins, per_bin }));
+                let segment = description.marker.map(|_| number as u32);
+                records.push(Record { head: Arc::clone(&head), segment, t0_s, trigger_s: None, payload });
+            }
+        }
+        if before > 0 {
+            let problem = format!("{before} photons come before the first marker, and are left out");
+            input.remark(events.byte_offset, problem);
+        }
         if records.is_empty() {
             let problem = if is_t2 {
                 ": no photon follows an event of the sync channel, from which T2 mode would count; record in T3 mode, or \
@@ -208,21 +219,114 @@ impl Events {
         Ok(Self { byte_offset, count, layout })
     }
 
-    /// Passes on the channel and time, in units of the time base, of each photon.
-    fn photons(&self, file: &mut dyn ReadSeek, take: &mut dyn FnMut(usize, u64) -> io::Result<()>) -> io::Result<()> {
-        let length = self.count * WORD_BYTES;
+    /// What the events are together, cut at those of a marker.
+    fn survey(&self, input: &mut dyn Input, description: &Description) -> Result<Survey, FormatError> {
+        let start = Stretch { events: *self, clock: Clock::new(self.layout) };
+        let stretches = if description.marker.is_none() { vec![start] } else { Vec::new() };
+        let mut survey = Survey { times: 0, channels: [false; 64], stretches, before: 0 };
+        let bit = description.marker.map_or(0, |marker| 1 << (marker.clamp(1, MARKERS) - 1));
+        // A record takes far more memory than the event at which it begins.
+        let each = size_of::<Record>() + size_of::<Histogram>() + size_of::<Stretch>();
+        let most = (2 * input.length() + (1 << 18)) as usize / each;
+        let mut markers = 0;
+        start.each(input.file(), &mut |number, clock, event| {
+            match event {
+                Event::Photon(channel, time) if !survey.stretches.is_empty() => {
+                    survey.channels[channel] = true;
+                    survey.times = survey.times.max(time + 1);
+                }
+                Event::Photon(..) => survey.before += 1,
+                Event::Markers(bits) if bits & bit != 0 => {
+                    markers += 1;
+                    if markers <= most {
+                        survey.cut(self, number + 1, *clock);
+                    }
+                }
+                Event::Markers(_) | Event::Other => {}
+            }
+            Ok(())
+        })?;
+        if let Some(marker) = description.marker.filter(|_| markers == 0) {
+            return Err(Key::Marker.refuse(format!("= {marker}: no such marker is in the file; take it out")).into());
+        }
+        let count = survey.channels.iter().filter(|is_there| **is_there).count();
+        if let Some(marker) = description.marker.filter(|_| markers.saturating_mul(count.max(1)) > most) {
+            let problem = format!("= {marker} gives {markers} histograms on {count} channels, too many for the file");
+            return Err(Key::Marker.refuse(format!("{problem}; cut the measurement into files")).into());
+        }
+        Ok(survey)
+    }
+}
+
+/// What the events of a file are together.
+struct Survey {
+    /// One more than the latest time after the sync pulse.
+    times: u64,
+    /// Which channels have photons.
+    channels: [bool; 64],
+    /// From one marker to the next.
+    stretches: Vec<Stretch>,
+    /// Photons before the first marker.
+    before: u64,
+}
+
+impl Survey {
+    /// Ends the last stretch before the event `next`, and begins another.
+    fn cut(&mut self, all: &Events, next: u64, clock: Clock) {
+        let events = Events { byte_offset: all.byte_offset + next * WORD_BYTES, count: all.count - next, ..*all };
+        if let Some(last) = self.stretches.last_mut() {
+            last.events.count = (events.byte_offset - last.events.byte_offset) / WORD_BYTES;
+        }
+        self.stretches.push(Stretch { events, clock });
+    }
+}
+
+/// Units of the time base in a bin.
+fn per_bin(times: u64, unit_s: f64, is_t2: bool, description: &Description) -> Result<u64, FormatError> {
+    let least = times.div_ceil(MOST_BINS).max(1);
+    let Some(bin_ps) = description.bin_ps else {
+        return Ok(if is_t2 { least.next_power_of_two() } else { 1 });
+    };
+    let unit_ps = unit_s * 1e12;
+    let units = (bin_ps / unit_ps).round();
+    if units < 1.0 || (bin_ps / unit_ps - units).abs() > WHOLE_UNITS * units {
+        let (below, above) = ((bin_ps / unit_ps).floor().max(1.0) * unit_ps, (bin_ps / unit_ps).ceil() * unit_ps);
+        let problem = format!("= {bin_ps} is no whole number of the file's {unit_ps} ps; give {below} or {above}");
+        return Err(Key::Bin.refuse(problem).into());
+    }
+    if (units as u64) < least {
+        let (bins, wider) = (times.div_ceil(units as u64), least as f64 * unit_ps);
+        let problem = format!("= {bin_ps} makes {bins} bins, more than {MOST_BINS}; give {wider} or more");
+        return Err(Key::Bin.refuse(problem).into());
+    }
+    Ok(units as u64)
+}
+
+/// Events from one marker to the next, with the time as it is at the first.
+#[derive(Clone, Copy, Debug)]
+struct Stretch {
+    events: Events,
+    clock: Clock,
+}
+
+impl Stretch {
+    /// Passes on each event, with its number and the time after it.
+    fn each(
+        &self,
+        file: &mut dyn ReadSeek,
+        take: &mut dyn FnMut(u64, &Clock, Event) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let length = self.events.count * WORD_BYTES;
         let mut piece = vec![0; PIECE_BYTES.min(length) as usize];
-        file.seek(SeekFrom::Start(self.byte_offset))?;
-        let mut clock = Clock::new(self.layout);
-        let mut done = 0;
+        file.seek(SeekFrom::Start(self.events.byte_offset))?;
+        let (mut clock, mut number, mut done) = (self.clock, 0, 0);
         while done < length {
             let piece = &mut piece[..PIECE_BYTES.min(length - done) as usize];
             file.read_exact(piece)?;
-            for event in piece.chunks_exact(WORD_BYTES as usize) {
-                let event = u32::from_le_bytes(event.try_into().expect("chunks of four"));
-                if let Some((channel, time)) = clock.photon(event)? {
-                    take(channel, time)?;
-                }
+            for word in piece.chunks_exact(WORD_BYTES as usize) {
+                let event = clock.event(u32::from_le_bytes(word.try_into().expect("chunks of four")))?;
+                take(number, &clock, event)?;
+                number += 1;
             }
             done += piece.len() as u64;
         }
@@ -234,11 +338,11 @@ impl Events {
 /// file.
 #[derive(Debug)]
 struct Histogram {
-    events: Events,
+    stretch: Stretch,
     channel: usize,
     bins: usize,
-    /// A bin is two to this power of the time base's units.
-    shift: u32,
+    /// Units of the time base in a bin.
+    per_bin: u64,
 }
 
 impl Unpack for Histogram {
@@ -248,12 +352,13 @@ impl Unpack for Histogram {
         take: &mut dyn FnMut(&[u8]) -> io::Result<ControlFlow<()>>,
     ) -> io::Result<()> {
         let mut counts = vec![0_u32; self.bins];
-        self.events.photons(file, &mut |channel, time| {
+        self.stretch.each(file, &mut |_, _, event| {
+            let Event::Photon(channel, time) = event else { return Ok(()) };
             if channel != self.channel {
                 return Ok(());
             }
             let count =
-                counts.get_mut((time >> self.shift) as usize).and_then(|count| Some((count.checked_add(1)?, count)));
+                counts.get_mut((time / self.per_bin) as usize).and_then(|count| Some((count.checked_add(1)?, count)));
             let (next, count) = count.ok_or_else(|| io::Error::other("more photons, or later ones, than at first"))?;
             *count = next;
             Ok(())

@@ -9,6 +9,7 @@ use thiserror::Error;
 
 use crate::accounting::{Ledger, Remark};
 use crate::companions::companion;
+use crate::description::{Description, Key, Misfit};
 use crate::waveform::{ReadSeek, Record};
 
 /// What is wrong with a file. The caller who opened the file adds its name.
@@ -55,6 +56,9 @@ pub enum FormatError {
         /// What is wrong, and the fix where there is one.
         problem: String,
     },
+    /// What the caller says about it does not fit.
+    #[error(transparent)]
+    Description(#[from] Misfit),
     /// A line of text cannot be parsed.
     #[error("line {line}: {problem}")]
     Line {
@@ -153,6 +157,7 @@ pub struct Source<F> {
     /// Length of the file and its companion.
     total: u64,
     extension: String,
+    description: Description,
     ledger: Ledger,
 }
 
@@ -189,6 +194,8 @@ pub trait Input {
     /// # Errors
     /// When the file cannot be read.
     fn stream(&mut self) -> Result<Box<dyn Read + '_>, FormatError>;
+    /// What the caller says about it.
+    fn description(&self) -> &Description;
     /// The file itself, for a library that reads it.
     fn file(&mut self) -> &mut dyn ReadSeek;
 }
@@ -201,7 +208,8 @@ impl Source<Joined> {
     pub fn open(path: &Path) -> Result<Self, FormatError> {
         let file = Joined::open(path)?;
         let (length, total) = (file.length, file.total());
-        Ok(Self { length, total, file, extension: extension(path), ledger: Ledger::default() })
+        let (extension, description, ledger) = (extension(path), Description::default(), Ledger::default());
+        Ok(Self { file, length, total, extension, description, ledger })
     }
 
     /// Length in bytes, companion included.
@@ -224,7 +232,8 @@ impl Source<Joined> {
             companion.read_to_end(&mut bytes)?;
         }
         let total = bytes.len() as u64;
-        Ok(Source { file: Cursor::new(bytes), length, total, extension: self.extension, ledger: Ledger::default() })
+        let Self { extension, description, .. } = self;
+        Ok(Source { file: Cursor::new(bytes), length, total, extension, description, ledger: Ledger::default() })
     }
 }
 
@@ -240,7 +249,8 @@ impl<F: Read + Seek> Source<F> {
     /// When the length of `file` cannot be determined.
     pub fn new(mut file: F, path: &Path) -> Result<Self, FormatError> {
         let length = file.seek(SeekFrom::End(0))?;
-        Ok(Self { file, length, total: length, extension: extension(path), ledger: Ledger::default() })
+        let (extension, description, ledger) = (extension(path), Description::default(), Ledger::default());
+        Ok(Self { file, length, total: length, extension, description, ledger })
     }
 
     /// A source whose bytes from `length` on belong to the companion.
@@ -250,6 +260,12 @@ impl<F: Read + Seek> Source<F> {
     pub fn with_companion(file: F, length: u64, path: &Path) -> Result<Self, FormatError> {
         let whole = Self::new(file, path)?;
         Ok(Self { length: length.min(whole.total), ..whole })
+    }
+
+    /// The same file with what its caller says about it.
+    #[must_use]
+    pub fn described(self, description: Description) -> Self {
+        Self { description, ..self }
     }
 
     /// Values of all samples of a record of this file: in the unit of its head, or codes where the file has no scale.
@@ -322,6 +338,10 @@ impl<F: Read + Seek> Input for Source<F> {
         Ok(Box::new((&mut self.file).take(self.length)))
     }
 
+    fn description(&self) -> &Description {
+        &self.description
+    }
+
     fn file(&mut self) -> &mut dyn ReadSeek {
         &mut self.file
     }
@@ -336,6 +356,10 @@ pub trait Reader: Sync {
     fn extensions(&self) -> &'static [&'static str];
     /// Whether a file that begins with these bytes has this format.
     fn recognises(&self, head: &[u8]) -> bool;
+    /// Keys of a [`Description`] that it has a use for.
+    fn keys(&self) -> &'static [Key] {
+        &[]
+    }
     /// Returns the records of a file.
     ///
     /// # Errors

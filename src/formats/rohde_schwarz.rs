@@ -33,6 +33,8 @@ pub struct RohdeSchwarz;
 
 /// Bytes before the samples: two u32.
 const PAYLOAD_HEAD: u64 = 8;
+/// Longest end of a line, with spaces, behind the XML.
+const LINE_END: u64 = 4;
 
 /// Largest deviation of a sample's x from the even grid, in steps.
 const UNEVEN: f64 = 0.25;
@@ -60,7 +62,9 @@ impl Reader for RohdeSchwarz {
             return Err(field(0, problem));
         }
         let settings = Settings::read(input)?;
-        input.uses(0..input.length());
+        let left = input.length().saturating_sub(settings.end);
+        let is_line_end = left <= LINE_END && input.peek("the end", settings.end, left)?.trim_ascii().is_empty();
+        input.uses(0..if is_line_end { input.length() } else { settings.end });
         let Some(companion) = input.companion() else {
             let problem =
                 "the samples lie in a second file of the same name that ends in .Wfm.bin; copy it beside this one";

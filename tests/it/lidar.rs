@@ -176,6 +176,30 @@ fn echoes_of_a_simulated_flight_lie_within_their_errors() {
     assert_eq!(first[..5], [echo.x_m, echo.y_m, echo.z_m, echo.range_sd_m, echo.height]);
     assert_eq!(first[7..9], [f64::from(echo.echo), f64::from(echo.echoes)]);
     assert_eq!(body.lines().count(), echoes.len());
+    periscope(folder.path(), &["export", "results", "cloud.las"]);
+    check_las(&fs::read(folder.path().join("cloud.las")).unwrap(), &echoes);
+}
+
+/// A LAS file of these echoes, by the layout of the specification: each place to half of its scale.
+fn check_las(file: &[u8], echoes: &[Echo]) {
+    let number = |at: usize| f64::from_le_bytes(file[at..at + 8].try_into().unwrap());
+    let word = |at: usize| u32::from_le_bytes(file[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((&file[..4], &file[24..26], file[104]), (&b"LASF"[..], &[1, 4][..], 6));
+    let (start, stride) = (word(96), usize::from(u16::from_le_bytes([file[105], file[106]])));
+    assert_eq!((word(247), file.len()), (echoes.len(), start + stride * echoes.len()));
+    let of_return: usize = (0..15).map(|number| word(255 + 8 * number)).sum();
+    assert_eq!(of_return, echoes.len());
+    for (echo, point) in echoes.iter().zip(file[start..].chunks_exact(stride)) {
+        for (axis, place_m) in [echo.x_m, echo.y_m, echo.z_m].into_iter().enumerate() {
+            let code = i32::from_le_bytes(point[4 * axis..4 * axis + 4].try_into().unwrap());
+            let (scale_m, offset_m) = (number(131 + 8 * axis), number(155 + 8 * axis));
+            assert!((f64::from(code) * scale_m + offset_m - place_m).abs() < 0.51 * scale_m);
+            assert!(number(187 + 16 * axis) <= place_m && place_m <= number(179 + 16 * axis));
+        }
+        assert_eq!((point[14] & 15, point[14] >> 4), (echo.echo as u8, echo.echoes as u8));
+        assert_eq!(point[22..30], echo.gps_time_s.to_le_bytes());
+        assert_eq!(point[30..34], (echo.range_sd_m as f32).to_le_bytes());
+    }
 }
 
 /// Where a file does not say when its pulses left, times are those of the record.

@@ -62,6 +62,7 @@ mod relay_wall;
 mod report;
 mod resolution;
 mod rooms;
+mod rules_for_arrays;
 mod schema;
 mod scope_samples;
 mod session;
@@ -72,6 +73,7 @@ mod simulate;
 mod sizes;
 mod small_rooms;
 mod surface;
+mod surplus;
 #[allow(dead_code, reason = "the study uses more of it")]
 mod system_calls;
 mod twins;

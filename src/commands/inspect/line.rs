@@ -1,6 +1,6 @@
 //! Facts in words.
 
-use periscope::waveform::Kind;
+use periscope::waveform::{Kind, Record};
 use serde_json::Value;
 
 /// The most important facts, for people.
@@ -29,6 +29,17 @@ pub fn line(facts: &Value) -> String {
         value("max"),
         text("clipped"),
     )
+}
+
+/// Which keys of campaign.toml give the units that the heading of a text lacks.
+pub fn missing_units(records: &[Record]) -> Option<String> {
+    let heads = || records.iter().map(|record| &record.head).filter(|head| head.format == "csv");
+    let values = heads().any(|head| head.kind == Kind::Waveform && head.unit.is_none());
+    let times = heads().any(|head| head.dt_s.is_none());
+    let of_values = values.then_some("no unit of values: give `unit`, such as \"mV\" or \"counts\"");
+    let of_times = times.then_some("no unit of times: give `time_unit`, such as \"ns\", or dt_ps and t0_ps");
+    let keys: Vec<&str> = [of_values, of_times].into_iter().flatten().collect();
+    (!keys.is_empty()).then(|| format!("{}; in its [[captures]] rule", keys.join("; ")))
 }
 
 pub const TIME: [(&str, f64); 5] = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9), ("ps", 1e-12)];

@@ -14,7 +14,7 @@
 //! comma, a semicolon, a tab or spaces; where it is not a comma, commas may be decimal marks. Units of times and
 //! prefixes of units (`Time (ns)`, `ch1_mv`) are applied. Columns of counts (`counts`, `photons`) are histograms of
 //! photons. A plain text without units has none: no time base where times have none, no scale where values have none.
-//! The dialects of scopes are in s and V.
+//! A caller may give them (`unit`, `time_unit`), where no heading does. The dialects of scopes are in s and V.
 //!
 //! Not read: two time bases in one file, more than 256 columns, lines of more than 64 KiB, headers of other vendors. A
 //! text that is cut between two rows is noticed only if its header gives the number of rows; one that is cut within its
@@ -24,10 +24,12 @@
 use std::io::{self, BufReader, Write};
 use std::sync::Arc;
 
+use super::description::{Description, Key, Misfit};
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::{CodeType, Head, Kind, Payload, Record, Scale};
 
 mod dialects;
+mod headless;
 mod layout;
 mod lecroy;
 mod rows;
@@ -57,6 +59,10 @@ impl Reader for Csv {
         dialects::STARTS.iter().any(|start| head.starts_with(start))
     }
 
+    fn keys(&self) -> &'static [Key] {
+        &[Key::Unit, Key::TimeUnit]
+    }
+
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let length = input.length();
         let mut layout = dialects::layout(&mut Lines::new(BufReader::new(input.stream()?)), length)?;
@@ -66,6 +72,7 @@ impl Reader for Csv {
         }
         let survey = rows::survey(&mut Lines::new(BufReader::new(input.stream()?)), &layout)?;
         layout.decide(&survey);
+        headless::give_units(&mut layout, input.description())?;
         let samples = survey.rows / layout.segments;
         let channels = layout.columns.iter().filter(|column| column.role == Role::Channel).count() as u64;
         let needed = (channels * layout.segments).saturating_mul(RECORD_BYTES + 8 * samples);
@@ -110,6 +117,20 @@ fn records(layout: &Layout, base: &times::Base, codes: &[Arc<[u8]>], samples: us
         }
     }
     records
+}
+
+/// Checks the units of a description, which a file need not be there for.
+///
+/// # Errors
+/// When one of them is no unit that a heading may have.
+pub fn check_units(description: &Description) -> Result<(), Misfit> {
+    if let Some(text) = &description.unit {
+        units::of_values(text).map_err(|problem| Key::Unit.refuse(problem))?;
+    }
+    if let Some(text) = &description.time_unit {
+        units::of_times(text).map_err(|problem| Key::TimeUnit.refuse(problem))?;
+    }
+    Ok(())
 }
 
 fn refuse(line: u64, problem: impl Into<String>) -> FormatError {

@@ -350,3 +350,49 @@ fn what_is_written_is_read_back() {
     assert_eq!((values, record.t0_s), (vec![0.5, -1.25, 3.0], Some(-2e-9)));
     assert!(near(record.head.dt_s, 5e-11));
 }
+
+fn described(text: &str, unit: Option<&str>, time_unit: Option<&str>) -> Result<Vec<Record>, String> {
+    let (unit, time_unit) = (unit.map(str::to_owned), time_unit.map(str::to_owned));
+    let source = Source::new(Cursor::new(text.as_bytes().to_vec()), Path::new("a.csv")).unwrap();
+    let mut source = source.described(Description { unit, time_unit, ..Description::default() });
+    crate::records(&mut source).map_err(|error| error.to_string())
+}
+
+#[test]
+fn a_caller_gives_the_units_that_headings_lack() {
+    let bare = "time,counts_raw\n0,3\n0.5,4\n1,5\n";
+    let head = |records: Vec<Record>| (records[0].head.clone(), records[0].t0_s);
+    let (none, t0_s) = head(described(bare, None, None).unwrap());
+    assert_eq!((&none.unit, none.scale, none.dt_s, t0_s), (&None, None, None, None), "no unit is no unit");
+    let (given, t0_s) = head(described(bare, Some("photons"), Some("ns")).unwrap());
+    assert_eq!((given.kind, given.unit.as_deref(), t0_s), (Kind::Counts, Some("counts"), Some(0.0)));
+    assert!(near(given.dt_s, 0.5e-9));
+    // Without a heading at all, the first column holds times, since it increases.
+    let records = described("0 1\n20 250\n40 -3\n", Some("mV"), Some("ps")).unwrap();
+    assert_eq!(records[0].values(&records[0].read(&mut Cursor::new([]), 0..3).unwrap()), [0.001, 0.25, -0.003]);
+    assert!(near(records[0].head.dt_s, 20e-12) && records[0].head.unit.as_deref() == Some("V"));
+    // Columns with a unit keep it, if it is the same.
+    let records = described("time_ns,a (mV),b\n0,1,2\n1,2,3\n", Some("mV"), Some("ns")).unwrap();
+    assert!(records.iter().all(|record| record.head.unit.as_deref() == Some("V")));
+}
+
+#[test]
+fn units_that_contradict_a_heading_are_refused() {
+    let plain = "time_ns,ch1 (mV)\n0,1\n0.5,2\n";
+    for (text, unit, time_unit, says) in [
+        (plain, Some("V"), None, "`unit` = \"V\" contradicts the heading of ch1 (csv), which says mV; take it out"),
+        (plain, None, Some("ps"), "`time_unit` = \"ps\" contradicts the heading of the times, which says ns"),
+        (plain, Some("ns"), None, "is no unit of values; write counts"),
+        (plain, None, Some("mV"), "is no unit of times; write s, ms"),
+        ("5\n3\n4\n", None, Some("ns"), "no column increases"),
+        ("f (Hz),x\n1,2\n2,3\n", None, Some("ns"), "frequencies"),
+        (KEYSIGHT, Some("counts"), None, "keysight-csv"),
+    ] {
+        let error = described(text, unit, time_unit).unwrap_err();
+        assert!(error.contains(says), "{error}");
+    }
+    let source = Source::new(Cursor::new(b"\x93NUMPY".to_vec()), Path::new("a.npy")).unwrap();
+    let mut source = source.described(Description { unit: Some("V".into()), ..Description::default() });
+    let error = crate::records(&mut source).unwrap_err().to_string();
+    assert_eq!(error, "`unit` is for text, and this file is npy; take it out");
+}

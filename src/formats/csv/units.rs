@@ -93,6 +93,13 @@ impl Unit {
         (text != "MV").then(|| Self { name: Some(base.to_owned()), times, per })
     }
 
+    /// As a heading has it: `mV`.
+    pub(super) fn text(&self) -> String {
+        let prefix = PREFIXES.iter().find(|(_, times, per)| (*times, *per) == (self.times, self.per));
+        let prefix = prefix.map_or("", |(prefix, ..)| prefix);
+        format!("{prefix}{}", self.name.as_deref().unwrap_or_default())
+    }
+
     /// Converts a number of the text to this unit.
     pub(super) fn scale(&self, number: f64) -> f64 {
         number * self.times / self.per
@@ -106,6 +113,24 @@ impl Unit {
     pub(super) fn is(&self, name: &str) -> bool {
         self.name.as_deref() == Some(name)
     }
+}
+
+/// The unit of values that a caller gives.
+///
+/// # Errors
+/// When a heading could not have it: what to give instead.
+pub(super) fn of_values(text: &str) -> Result<Unit, String> {
+    let unit = Unit::parse(text).filter(|unit| !unit.is("s") && !unit.is("Hz"));
+    unit.ok_or_else(|| format!("= {text:?} is no unit of values; write counts, photons, V, mV, uV, A or W"))
+}
+
+/// The unit of times that a caller gives.
+///
+/// # Errors
+/// As [`of_values`].
+pub(super) fn of_times(text: &str) -> Result<Unit, String> {
+    let unit = Unit::parse(text).filter(|unit| unit.is("s"));
+    unit.ok_or_else(|| format!("= {text:?} is no unit of times; write s, ms, us, ns, ps or fs"))
 }
 
 /// Whether a column of this name holds times.

@@ -6,6 +6,10 @@
 //! axis and are contiguous, compact, or chunked with or without deflate (HDF5 File Format Specification 3.0, sections
 //! II to IV). Contiguous samples stay in the file; chunks are inflated piece by piece.
 //!
+//! Of files of other programs, one data set is read: the one that the caller names by its path (`variable`), or the
+//! only one. Its last axis counts samples, unless the caller names the axes. Where it is chunked over several axes it
+//! is unpacked whole, if it is no larger than the file.
+//!
 //! [`arrays`] reads data sets of several axes whole; [`write()`] writes them.
 //!
 //! Refused by name: later superblocks and layouts, other filters, shared types. `h5repack -f GZIP=6` makes a file with
@@ -17,9 +21,12 @@ mod file;
 mod keysight;
 mod tektronix;
 mod value;
+pub(super) mod variable;
 mod write;
 
 use super::array::{Array, Arrays};
+use super::description::{Description, Key};
+use super::grid::Grid;
 use super::reader::{FormatError, Input, Reader};
 use crate::waveform::Record;
 use file::{File, SIGNATURE};
@@ -27,9 +34,6 @@ pub use write::write;
 
 /// The reader.
 pub struct Hdf5;
-
-/// Most names of a file's content in an error message.
-const NAMES: usize = 8;
 
 impl Reader for Hdf5 {
     fn format(&self) -> &'static str {
@@ -42,25 +46,29 @@ impl Reader for Hdf5 {
         head.starts_with(SIGNATURE)
     }
 
+    fn keys(&self) -> &'static [Key] {
+        &[Key::Variable, Key::Axes]
+    }
+
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
-        let (mut file, root) = File::open(input)?;
-        let entries = file.group(root)?;
-        if let Some(waveforms) = entries.find("Waveforms") {
-            return keysight::records(&mut file, &entries, waveforms);
+        let description = input.description().clone();
+        if description.variable.is_none() && description.axes.is_none() {
+            let (mut file, root) = File::open(input)?;
+            let entries = file.group(root)?;
+            if let Some(waveforms) = entries.find("Waveforms") {
+                return keysight::records(&mut file, &entries, waveforms);
+            }
+            if let (Some(data), Some(spacing), Some(start)) =
+                (entries.find("Data"), entries.find("Spacing"), entries.find("StartTime"))
+            {
+                return tektronix::records(&mut file, data, spacing, start);
+            }
         }
-        if let (Some(data), Some(spacing), Some(start)) =
-            (entries.find("Data"), entries.find("Spacing"), entries.find("StartTime"))
-        {
-            return tektronix::records(&mut file, data, spacing, start);
-        }
-        let names: Vec<_> = entries.iter().take(NAMES).map(|entry| entry.name.as_str()).collect();
-        Err(field(
-            root,
-            format!(
-                "is an HDF5 file with {names:?}: neither of Keysight (group \"Waveforms\") nor of Tektronix \
-                 (\"Data\", \"Spacing\", \"StartTime\"); save the waveforms as .npy, samples on the last axis"
-            ),
-        ))
+        let grid = |_: &str, lengths: &[u64], description: &Description| {
+            let lengths: Vec<u64> = lengths.iter().rev().copied().collect();
+            Grid::new(&lengths, false, description.axes.as_deref())
+        };
+        variable::records(input, self.format(), &description, grid)
     }
 }
 

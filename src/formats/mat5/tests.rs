@@ -23,7 +23,7 @@ fn element(kind: u32, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-fn variable(name: &str, class: u8, axes: &[i32], kind: u32, data: &[u8]) -> Vec<u8> {
+pub fn variable(name: &str, class: u8, axes: &[i32], kind: u32, data: &[u8]) -> Vec<u8> {
     let axes: Vec<u8> = axes.iter().flat_map(|axis| axis.to_le_bytes()).collect();
     let parts = [
         element(6, &[class, 0, 0, 0, 0, 0, 0, 0]),
@@ -35,7 +35,7 @@ fn variable(name: &str, class: u8, axes: &[i32], kind: u32, data: &[u8]) -> Vec<
     [MATRIX.to_le_bytes().as_slice(), &(parts.len() as u32).to_le_bytes(), &parts].concat()
 }
 
-fn file(variables: &[Vec<u8>], packed: bool) -> Vec<u8> {
+pub fn file(variables: &[Vec<u8>], packed: bool) -> Vec<u8> {
     let mut bytes = b"MATLAB 5.0 MAT-file".to_vec();
     bytes.resize(124, b' ');
     bytes.extend([0, 1, b'I', b'M']);

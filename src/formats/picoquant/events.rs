@@ -43,7 +43,22 @@ impl Layout {
     }
 }
 
+/// Most markers: each is a bit.
+pub(super) const MARKERS: u32 = 4;
+
+/// What an event is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Event {
+    /// A photon: its channel, and its time after the sync pulse in units of the time base.
+    Photon(usize, u64),
+    /// Markers, a bit each.
+    Markers(u32),
+    /// A sync pulse, an overflow, a photon before any sync pulse.
+    Other,
+}
+
 /// The time of events in a file, as they are passed.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Clock {
     layout: Layout,
     /// Time at which the counter last began anew, and of the last sync pulse.
@@ -56,21 +71,21 @@ impl Clock {
         Self { layout, wrapped: 0, sync: None }
     }
 
-    /// Channel of an event and its time after the sync pulse, if it is a photon.
-    pub(super) fn photon(&mut self, event: u32) -> io::Result<Option<(usize, u64)>> {
+    /// Passes an event.
+    pub(super) fn event(&mut self, event: u32) -> io::Result<Event> {
         let field = |from: u32, bits: u32| event >> from & ((1 << bits) - 1);
         match self.layout {
             Layout::PicoHarpT3 => match (field(28, 4), field(16, 12)) {
-                (15, _) => Ok(None),
-                (channel @ 1..=4, time) => Ok(Some((channel as usize, time.into()))),
+                (15, bits) => Ok(markers(bits)),
+                (channel @ 1..=4, time) => Ok(Event::Photon(channel as usize, time.into())),
                 (channel, _) => Err(no_channel(channel)),
             },
-            Layout::HydraHarpT3 if field(31, 1) == 1 => Ok(None),
-            Layout::HydraHarpT3 => Ok(Some((field(25, 6) as usize, field(10, 15).into()))),
+            Layout::HydraHarpT3 if field(31, 1) == 1 => Ok(markers(field(25, 6))),
+            Layout::HydraHarpT3 => Ok(Event::Photon(field(25, 6) as usize, field(10, 15).into())),
             Layout::PicoHarpT2 => match (field(28, 4), field(0, 28)) {
                 // The lowest bits of a special event are markers.
                 (15, time) if time.trailing_zeros() >= 4 => Ok(self.wrap(WRAP_PICO_HARP)),
-                (15, _) => Ok(None),
+                (15, bits) => Ok(markers(bits & 15)),
                 (0, time) => Ok(self.sync(time)),
                 (channel @ 1..=4, time) => Ok(self.after_sync(channel, time)),
                 (channel, _) => Err(no_channel(channel)),
@@ -82,28 +97,34 @@ impl Clock {
                     (_, 0) => self.sync(time),
                     (_, 63) if is_counted => self.wrap(wrap * u64::from(time.max(1))),
                     (_, 63) => self.wrap(wrap),
-                    _ => None,
+                    (_, bits) => markers(bits),
                 })
             }
         }
     }
 
-    fn wrap(&mut self, by: u64) -> Option<(usize, u64)> {
+    fn wrap(&mut self, by: u64) -> Event {
         // A file of so many overflows that this ends is larger than any disk.
         self.wrapped = self.wrapped.saturating_add(by);
-        None
+        Event::Other
     }
 
-    fn sync(&mut self, time: u32) -> Option<(usize, u64)> {
+    fn sync(&mut self, time: u32) -> Event {
         self.sync = Some(self.wrapped.saturating_add(time.into()));
-        None
+        Event::Other
     }
 
     /// A photon, if a sync pulse came before it.
-    fn after_sync(&self, channel: u32, time: u32) -> Option<(usize, u64)> {
+    fn after_sync(&self, channel: u32, time: u32) -> Event {
         let time = self.wrapped.saturating_add(time.into());
-        Some((channel as usize, time.checked_sub(self.sync?)?))
+        let after = self.sync.and_then(|sync| time.checked_sub(sync));
+        after.map_or(Event::Other, |after| Event::Photon(channel as usize, after))
     }
+}
+
+/// Markers, if these are their bits; other special events are overflows of T3 mode, which times do not need.
+fn markers(bits: u32) -> Event {
+    if (1..1 << MARKERS).contains(&bits) { Event::Markers(bits) } else { Event::Other }
 }
 
 fn no_channel(channel: u32) -> io::Error {

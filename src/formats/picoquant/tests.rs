@@ -242,3 +242,63 @@ fn hostile_files_are_survived() {
         change_anywhere(&PicoquantPtu, &file, 5000);
     }
 }
+
+fn described(file: &[u8], bin_ps: Option<f64>, marker: Option<u32>) -> Result<(Vec<Record>, Vec<Vec<f64>>), String> {
+    let description = Description { bin_ps, marker, ..Description::default() };
+    let mut source = crate::hostile::source(file).described(description);
+    let contents = crate::contents(&mut source).map_err(|error| error.to_string())?;
+    let remark = contents.remarks.first().map(|remark| remark.problem.clone());
+    assert!(remark.is_none_or(|remark| remark.contains("1 photons come before the first marker")));
+    let values = contents.records.iter().map(|record| source.values(record).unwrap()).collect();
+    Ok((contents.records, values))
+}
+
+/// Each event of a marker begins a new histogram; in T2 mode times go on counting from the last sync pulse.
+#[test]
+fn markers_begin_histograms() {
+    let events = [
+        hydra_harp(0, 0, 2, 1), // before the first marker
+        hydra_harp(1, 2, 0, 2), // marker 2
+        hydra_harp(0, 0, 1, 3),
+        hydra_harp(0, 0, 3, 3),
+        hydra_harp(1, 1, 0, 4), // marker 1
+        hydra_harp(1, 63, 0, 1),
+        hydra_harp(0, 1, 3, 5),
+        hydra_harp(1, 3, 0, 6), // markers 1 and 2
+        hydra_harp(0, 0, 0, 7),
+    ];
+    let file = ptu(0x1_0307, &events);
+    let (records, values) = described(&file, None, Some(2)).unwrap();
+    let key = |record: &Record| (record.head.channel.clone().unwrap(), record.segment.unwrap());
+    let keys: Vec<_> = records.iter().map(key).collect();
+    assert_eq!(keys, [("0".to_owned(), 0), ("0".to_owned(), 1), ("1".to_owned(), 0), ("1".to_owned(), 1)]);
+    assert_eq!(values[..2], [[0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 0.0]]);
+    assert_eq!(values[2..], [[0.0, 0.0, 0.0, 1.0], [0.0; 4]]);
+    assert!(described(&file, None, Some(4)).unwrap_err().contains("`marker` = 4: no such marker"));
+    let events = [t2(1, 0, 5), t2(0, 3, 6), t2(1, 1, 6), t2(0, 3, 8), t2(1, 1, 9), t2(1, 63, 1), t2(0, 3, 1)];
+    let (records, values) = described(&ptu(0x101_0204, &events), None, Some(1)).unwrap();
+    assert_eq!(records.len(), 2);
+    assert_eq!((values[0][0], records[0].head.dt_s), (1.0, Some(512.0 * 4e-12)));
+    assert_eq!(values[1].iter().rposition(|count| *count == 1.0), Some(((1 << 25) + 1 - 5) / 512));
+}
+
+#[test]
+fn bins_are_as_wide_as_the_caller_says() {
+    let file = ptu(0x1_0307, &hydra_harp_events());
+    let (records, values) = described(&file, Some(8.0), None).unwrap();
+    assert_eq!((records[0].head.dt_s, values[0].as_slice()), (Some(8e-12), &[1.0, 2.0, 0.0][..]));
+    let error = described(&file, Some(10.0), None).unwrap_err();
+    assert!(error.contains("`bin_ps` = 10 is no whole number of the file's 4 ps; give 8 or 12"), "{error}");
+    assert!(described(&file, Some(1.0), None).unwrap_err().contains("no whole number of the file's 4 ps"));
+    let long = ptu(0x101_0204, &[t2(1, 0, 0), t2(0, 3, 1 << 20)]);
+    let error = described(&long, Some(4.0), None).unwrap_err();
+    assert!(error.contains("makes 1048577 bins, more than 65536; give 68 or more"), "{error}");
+}
+
+/// A file of nothing but markers must not take much more memory than it has bytes.
+#[test]
+fn markers_are_refused_where_they_are_too_many() {
+    let mut events = vec![hydra_harp(1, 1, 0, 0); 200_000];
+    events.push(hydra_harp(0, 0, 1, 0));
+    assert!(described(&ptu(0x1_0307, &events), None, Some(1)).unwrap_err().contains("cut the measurement into files"));
+}

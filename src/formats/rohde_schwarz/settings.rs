@@ -76,6 +76,8 @@ struct Property {
 #[derive(Debug)]
 pub(super) struct Settings {
     properties: [Option<Property>; NAMES.len()],
+    /// Where the XML ends.
+    pub(super) end: u64,
 }
 
 /// One channel of an export.
@@ -95,7 +97,7 @@ pub(super) struct Channel {
 
 impl Settings {
     pub(super) fn read(input: &mut dyn Input) -> Result<Self, FormatError> {
-        let mut settings = Self { properties: [const { None }; NAMES.len()] };
+        let mut settings = Self { properties: [const { None }; NAMES.len()], end: 0 };
         let mut xml = quick_xml::Reader::from_reader(BufReader::new(input.stream()?));
         let (mut buffer, mut depth, mut closed) = (Vec::new(), 0_usize, false);
         while !closed {
@@ -113,6 +115,7 @@ impl Settings {
                 Ok(Event::End(_)) => {
                     depth = depth.saturating_sub(1);
                     closed = depth == 0;
+                    settings.end = xml.buffer_position();
                 }
                 Ok(Event::Eof) => {
                     return Err(field(

@@ -107,6 +107,25 @@ fn near(values: &[f64], expected: &[f64]) -> bool {
     values.len() == expected.len() && values.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12)
 }
 
+/// A head that was padded, or written twice, is told; the end of its last line is none.
+#[test]
+fn what_follows_the_xml_is_reported() {
+    let built = Built::raw();
+    let remarks = |xml: Vec<u8>| {
+        let length = xml.len() as u64;
+        let bytes = [xml, built.payload.clone()].concat();
+        let mut source = Source::with_companion(Cursor::new(bytes), length, Path::new("a.bin")).unwrap();
+        crate::contents(&mut source).unwrap().remarks
+    };
+    assert_eq!(remarks(built.xml()), []);
+    assert_eq!(remarks([built.xml(), b"\r\n".to_vec()].concat()), []);
+    for more in [vec![0; 3], vec![0; 4096], built.xml()] {
+        let place = built.xml().len() as u64;
+        let remarks = remarks([built.xml(), more].concat());
+        assert!(remarks.len() == 1 && remarks[0].byte_offset == place, "{remarks:?}");
+    }
+}
+
 #[test]
 fn raw_codes_become_volts() {
     let records = Built::raw().read().unwrap();

@@ -274,6 +274,25 @@ fn a_file_that_was_cut_or_changed_is_refused() {
     assert!(cut.read().unwrap_err().contains("trailer is cut"));
 }
 
+/// Whatever is missing of the last frame: those before it are whole, and one remark says so.
+#[test]
+fn a_file_that_ends_within_its_last_frame_gives_the_frames_before() {
+    for built in
+        [Built::new(3, false, 3), Built::new(1, true, 3), Built { own_curves: true, ..Built::new(2, false, 3) }]
+    {
+        let (bytes, whole) = (built.bytes(), crate::hostile::decode(&TekWfm, &built.bytes()));
+        for missing in 1..built.frames[0].len() + 2 * built.charge {
+            let mut source = crate::hostile::source(&bytes[..built.curves_end() - missing]);
+            let crate::Contents { records, remarks } = crate::contents(&mut source).unwrap();
+            assert_eq!(records.len(), 2, "{missing} bytes are missing");
+            for (record, (_, values)) in records.iter().zip(&whole) {
+                assert_eq!(source.values(record).unwrap(), *values);
+            }
+            assert!(remarks[0].is_cut && remarks[0].problem.contains("it ends within frame 2"), "{remarks:?}");
+        }
+    }
+}
+
 #[test]
 fn damaged_files_never_claim_what_they_do_not_hold() {
     for built in [

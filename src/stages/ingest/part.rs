@@ -12,7 +12,8 @@ use super::files::Files;
 use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::runs::Runs;
 use super::survey::{Capture, Item, Job, Surveyed, chain};
-use crate::campaign::{Campaign, Stamp, hash_file};
+use crate::campaign::{Campaign, Exposure, Stamp, hash_file};
+use crate::formats::Description;
 use crate::stages::source::{Credit, Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
@@ -132,11 +133,16 @@ impl Reader<'_> {
             .map(|(index, item)| (*index, Job { capture: &captures[*index], item, first_shot: 0 }))
             .collect();
         let surveyed = self.surveyed;
-        let mut files: BTreeMap<(usize, Vec<&PathBuf>), Vec<usize>> = BTreeMap::new();
+        let mut files: BTreeMap<(usize, Vec<&PathBuf>), Vec<(Description, Vec<usize>)>> = BTreeMap::new();
         for (at, (_, job)) in jobs.iter().enumerate() {
-            files.entry((job.capture.campaign, job.item.exposure.files().collect())).or_default().push(at);
+            let Exposure { keys, .. } = &job.item.exposure;
+            let readings = files.entry((job.capture.campaign, job.item.exposure.files().collect())).or_default();
+            match readings.iter_mut().find(|(description, _)| *description == keys.description()) {
+                Some((_, of_file)) => of_file.push(at),
+                None => readings.push((keys.description(), vec![at])),
+            }
         }
-        let files: Vec<Vec<usize>> = files.into_values().collect();
+        let files: Vec<Vec<usize>> = files.into_values().flatten().map(|(_, of_file)| of_file).collect();
         let read = |of_file: &Vec<usize>| {
             let of_jobs: Vec<&Job<'_>> = of_file.iter().map(|at| &jobs[*at].1).collect();
             of_file.iter().copied().zip(read_items(surveyed, &of_jobs)).collect()

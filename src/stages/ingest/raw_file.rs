@@ -186,7 +186,8 @@ impl RawFile {
             Reading::Whole | Reading::Long if companion.is_none() => Hashing::Whole(blake3::Hasher::new(), 0),
             Reading::Whole | Reading::Long | Reading::Unhashed => Hashing::Nothing,
         };
-        let mut source = Source::open(&path).map_err(format)?;
+        let source = Source::open(&path).map_err(format)?;
+        let mut source = source.described(job.item.exposure.keys.description());
         let blocks = Arc::clone(&surveyed.blocks);
         let (bytes, contents) = if matches!(reading, Reading::Whole) {
             let room = blocks.take(source.total());

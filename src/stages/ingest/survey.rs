@@ -17,6 +17,7 @@ use crate::stages::stage::StageError;
 use crate::store::Digest;
 use crate::store::disk;
 use crate::units::PatchId;
+use crate::waveform;
 
 /// One file's share of a capture.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -352,20 +353,27 @@ fn items(
 /// ranges and channels too.
 fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, Item)>, StageError> {
     let refused = |message: String| StageError::Refused(format!("{}: {message}", path.display()));
-    let Ok(records) = formats::Source::open(path).and_then(|mut file| formats::records(&mut file)) else {
+    let open = || formats::records(&mut formats::Source::open(path)?.described(exposure.keys.description()));
+    let Ok(records) = open() else {
         // A file that does not decode, perhaps since it is still being written, is rejected with the reason when it is
         // read.
         let key = (exposure.sensor.clone().unwrap_or_default(), exposure.lit.unwrap_or(0), exposure.seen.unwrap_or(0));
         return Ok(vec![(key, Item { exposure, records: Some(Vec::new()), bytes })]);
     };
     let axes = &exposure.keys.segments;
-    let shape = match records.first().map(|record| record.head.shape.as_slice()) {
+    let is_of_channel = |record: &waveform::Record| {
+        let (wanted, channel) = (&exposure.channel, &record.head.channel);
+        wanted.is_none() || channel.is_none() || wanted == channel
+    };
+    let of_channel: Vec<usize> = (0..records.len()).filter(|index| is_of_channel(&records[*index])).collect();
+    let first = of_channel.first().map(|index| &records[*index]);
+    let shape = match first.map(|record| record.head.shape.as_slice()) {
         Some(shape) if shape.len() == axes.len() => shape.to_vec(),
-        Some([]) if axes.len() == 1 => vec![records.len()],
+        Some([]) if axes.len() == 1 => vec![of_channel.len()],
         shape => {
             let names: Vec<&str> = axes.iter().map(|axis| axis.name()).collect();
             return Err(refused(format!(
-                "segments = {names:?} names {} axes, but the file has leading axes {:?}; name one for each, such as segments = \"shot\"",
+                "segments = {names:?} names {} axes, but the file has leading axes {:?}; name one for each, such as segments = \"shot\", or all with `axes`",
                 axes.len(),
                 shape.unwrap_or(&[])
             )));
@@ -378,9 +386,9 @@ fn along_axes(path: &Path, exposure: Exposure, bytes: u64) -> Result<Vec<(Key, I
         )));
     }
     let mut items: BTreeMap<(Key, Option<usize>), Vec<(usize, i32)>> = BTreeMap::new();
-    for index in 0..records.len() {
+    for (place, index) in of_channel.into_iter().enumerate() {
         let (mut rest, mut lit, mut seen, mut shot, mut range) =
-            (index, exposure.lit, exposure.seen, exposure.shot.map_or(0, |shot| shot as i32), None);
+            (place, exposure.lit, exposure.seen, exposure.shot.map_or(0, |shot| shot as i32), None);
         for (axis, length) in axes.iter().zip(&shape).rev() {
             let (place, number) = (rest % length, (rest % length) as i32 + 1);
             rest /= length;

@@ -80,6 +80,10 @@ impl<'a> Template<'a> {
         match (keys.dt_ps, keys.nominal_rate_hz, of_file) {
             (Some(dt_ps), _, of_file) => Ok((dt_ps, of_file.filter(|of_file| *of_file != dt_ps))),
             (None, None, Some(of_file)) => Ok((of_file, None)),
+            (None, _, None) if file.records[record].head.format == "csv" => {
+                let keys = "time_unit, such as \"ns\", or dt_ps and t0_ps,";
+                Err(missing(file, record, "column of times with a unit", keys))
+            }
             (None, _, None) => Err(missing(file, record, "time base", "dt_ps")),
             (None, Some(rate_hz), Some(of_file)) => {
                 let dt_ps = 1e12 / rate_hz;
@@ -99,7 +103,10 @@ impl<'a> Template<'a> {
         let (head, keys) = (&file.records[record].head, &self.job.item.exposure.keys);
         let (dt_ps, file_dt_ps) = self.step(file, record)?;
         let gain_v = keys.gain_v.or(head.scale.map(|scale| scale.gain));
-        let gain_v = gain_v.ok_or_else(|| missing(file, record, "scale", "gain_v"))?;
+        let gain_v = gain_v.ok_or_else(|| match head.format {
+            "csv" => missing(file, record, "unit in its heading", "`unit`, such as \"mV\" or \"counts\","),
+            _ => missing(file, record, "scale", "gain_v"),
+        })?;
         // An offset belongs to its gain: where the campaign gives volts per code, the file's own scale is out.
         let of_file = head.scale.filter(|_| keys.gain_v.is_none()).map(|scale| scale.offset);
         let offset_v = keys.offset_v.or(of_file).unwrap_or(0.0);

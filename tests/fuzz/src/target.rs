@@ -5,7 +5,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use libfuzzer_sys::fuzz_target;
-use periscope_formats::{FormatError, Input, READERS, Reader, Source};
+use periscope_formats::description::Key;
+use periscope_formats::{Description, FormatError, Input, READERS, Reader, Source};
 
 /// Codes that are unpacked of one record; a compressed record may be a thousand times its file.
 const UNPACKED_BYTES: usize = 1 << 22;
@@ -27,8 +28,31 @@ fuzz_target!(|data: &[u8]| {
         }
         _ => (data.len() as u64, data),
     };
+    read(reader, length, bytes, Description::default());
+    if !reader.keys().is_empty() {
+        read(reader, length, bytes, description(reader.keys()));
+    }
+});
+
+/// Something for each of these keys.
+fn description(keys: &[Key]) -> Description {
+    let has = |key: Key| keys.contains(&key);
+    let text = |key: Key, text: &str| has(key).then(|| text.to_owned());
+    Description {
+        unit: text(Key::Unit, "mV"),
+        time_unit: text(Key::TimeUnit, "ns"),
+        variable: None,
+        axes: has(Key::Axes).then(|| vec!["time".to_owned(), "shot".to_owned()]),
+        bin_ps: has(Key::Bin).then_some(64.0),
+        marker: has(Key::Marker).then_some(1),
+    }
+}
+
+/// Reads a file and its samples.
+fn read(reader: &dyn Reader, length: u64, bytes: &[u8], description: Description) {
     let size = bytes.len() as u64;
     let Ok(mut source) = Source::with_companion(Cursor::new(bytes), length, Path::new("a")) else { return };
+    source = source.described(description);
     let mut records = Err(FormatError::Empty);
     let memory = allocation_counter::measure(|| records = reader.records(&mut source));
     assert!(memory.bytes_max <= 4 * size + (1 << 20), "{} bytes allocated for a file of {size}", memory.bytes_max);
@@ -49,4 +73,4 @@ fuzz_target!(|data: &[u8]| {
         assert_eq!(bytes, samples * record.head.code_type.bytes(), "fewer codes than samples");
         assert!(memory.bytes_max <= 4 * size + (2 << 20), "{} bytes to unpack a file of {size}", memory.bytes_max);
     }
-});
+}
