@@ -27,10 +27,9 @@ pub struct Export {
     /// Result folder
     results: PathBuf,
     /// File to write: .ply for the patches as a point cloud (--surface-points: the points of a surface; --mesh: the
-    /// surface between them; where there are no patches but echoes of a lidar, or with --echoes: these), .las for echoes
-    /// of a lidar, .hdf5 for the
-    /// profiles as a capture of y-tal (--volume: the volume of an image), .npy for the volume of an image
-    /// (--surface-points, --mesh: the points, the nodes)
+    /// surface between them; where there are no patches but echoes of a lidar, or with --echoes: these), .las for
+    /// echoes of a lidar, .hdf5 for the profiles as a capture of y-tal (--volume: the volume of an image), .npy for
+    /// the volume of an image (--surface-points, --mesh: the points, the nodes)
     file: PathBuf,
     /// Table of patches [default: `all_patches` if there is one, else `patches`]
     #[arg(long, value_name = "TABLE")]

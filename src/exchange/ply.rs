@@ -128,8 +128,8 @@ pub fn write_mesh(out: &mut impl Write, vertices: &[Vertex]) -> io::Result<usize
     Ok(faces.len())
 }
 
-/// Triangles between neighbouring nodes: two where four nodes are there, one where three are. Columns and rows turn into
-/// the normal as x and y turn into z.
+/// Triangles between neighbouring nodes: two where four nodes are there, one where three are. Columns and rows turn
+/// into the normal as x and y turn into z.
 #[must_use]
 pub fn faces(vertices: &[Vertex]) -> Vec<[usize; 3]> {
     let place = |vertex: &Vertex| (vertex.mesh, vertex.grid_row, vertex.grid_column);

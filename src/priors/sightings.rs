@@ -24,8 +24,8 @@ impl Walls {
         Self { places: best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect() }
     }
 
-    /// Sightings of points of surfaces, each with the number of its row. Those whose point of the wall is not lit itself,
-    /// or has no place, have none.
+    /// Sightings of points of surfaces, each with the number of its row. Those whose point of the wall is not lit
+    /// itself, or has no place, have none.
     #[must_use]
     pub fn sightings(&self, points: &[SurfacePoint]) -> Vec<(usize, Sighting)> {
         points.iter().enumerate().filter_map(|(row, point)| Some((row, self.sighting(point)?))).collect()

@@ -8,8 +8,8 @@
 //! the wall sees first, and where points lie on all sides. Boxes have none: their edges and corners are seen, not their
 //! faces.
 //!
-//! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `meshes`, and
-//! `vertices`: their nodes. Points whose lit and seen points of the wall differ are left out.
+//! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `meshes`,
+//! and `vertices`: their nodes. Points whose lit and seen points of the wall differ are left out.
 //!
 //! Not modelled: where surfaces end, surfaces that turn by more than a right angle, errors of the wall's places.
 //!
