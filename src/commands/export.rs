@@ -79,11 +79,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             say!("{}: {} points", args.file.display(), points.len())?;
         }
         Some("npy") if args.surface_points.is_some() => {
-            let points = surface(&shelf, args)?;
-            let values: Vec<f64> = points.iter().flat_map(ply::surface_numbers).collect();
-            let shape = [points.len() as u64, (values.len() / points.len()) as u64];
-            whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
-            say!("{}: {} points, {} numbers each", args.file.display(), shape[0], shape[1])?;
+            write_numbers(args, &surface(&shelf, args)?, "points", ply::surface_numbers)?;
         }
         Some("ply") if let Some(view) = &args.mesh => {
             let vertices = vertices(&shelf, args, view)?;
@@ -91,11 +87,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             say!("{}: {} nodes, {faces} faces", args.file.display(), vertices.len())?;
         }
         Some("npy") if let Some(view) = &args.mesh => {
-            let vertices = vertices(&shelf, args, view)?;
-            let values: Vec<f64> = vertices.iter().flat_map(ply::mesh_numbers).collect();
-            let shape = [vertices.len() as u64, (values.len() / vertices.len()) as u64];
-            whole_file::write(&args.file, |out| npy::write(out, &shape, &values))?;
-            say!("{}: {} nodes, {} numbers each", args.file.display(), shape[0], shape[1])?;
+            write_numbers(args, &vertices(&shelf, args, view)?, "nodes", ply::mesh_numbers)?;
         }
         Some(ending @ ("ply" | "las")) if let Some(view) = &echoes_view => write_echoes(&shelf, args, view, ending)?,
         Some("ply") => {
@@ -103,16 +95,7 @@ pub fn export(args: &Export) -> Result<ExitCode> {
             let written = whole_file::write(&args.file, |out| ply::write(out, &patches))?;
             say!("{}: {written} patches", args.file.display())?;
         }
-        Some("hdf5" | "h5") if args.volume => {
-            let rows = volume(&shelf, args)?;
-            let images: Vec<Image> = self::rows(&shelf, &args.images)?;
-            let [image] = images.as_slice() else {
-                bail!("`{}` of {} has {} rows, not one", args.images, args.results.display(), images.len());
-            };
-            whole_file::write(&args.file, |out| exchange::write_volume(out, image, &rows))?;
-            let (columns, depths) = (rows[0].columns, rows[0].depths);
-            say!("{}: {columns} columns, {} rows, {depths} depths", args.file.display(), rows.len())?;
-        }
+        Some("hdf5" | "h5") if args.volume => write_volume(&shelf, args)?,
         Some("hdf5" | "h5") => {
             let campaign = args.campaign.as_ref();
             let campaign =
@@ -164,6 +147,24 @@ fn write_echoes(shelf: &Shelf, args: &Export, view: &str, ending: &str) -> Resul
         _ => ply::write_echoes(out, &echoes),
     })?;
     say!("{}: {} echoes", args.file.display(), echoes.len())
+}
+
+fn write_volume(shelf: &Shelf, args: &Export) -> Result<()> {
+    let rows = volume(shelf, args)?;
+    let images: Vec<Image> = self::rows(shelf, &args.images)?;
+    let [image] = images.as_slice() else {
+        bail!("`{}` of {} has {} rows, not one", args.images, args.results.display(), images.len());
+    };
+    whole_file::write(&args.file, |out| exchange::write_volume(out, image, &rows))?;
+    let (columns, depths) = (rows[0].columns, rows[0].depths);
+    say!("{}: {columns} columns, {} rows, {depths} depths", args.file.display(), rows.len())
+}
+
+/// Numbers of each row in a row of an array.
+fn write_numbers<R, const N: usize>(args: &Export, rows: &[R], what: &str, numbers: fn(&R) -> [f64; N]) -> Result<()> {
+    let values: Vec<f64> = rows.iter().flat_map(numbers).collect();
+    whole_file::write(&args.file, |out| npy::write(out, &[rows.len() as u64, N as u64], &values))?;
+    say!("{}: {} {what}, {N} numbers each", args.file.display(), rows.len())
 }
 
 /// Points of the surface: at least one.

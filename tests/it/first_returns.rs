@@ -229,12 +229,14 @@ impl Nodes {
         let mut nodes = Self::default();
         for vertex in vertices {
             let place = Point::new(vertex.x_m, vertex.y_m, vertex.z_m);
-            let off_m = |near: &(Point, usize)| (near.0 - place).norm();
-            let error_m = (thing.nearest)(&place).iter().map(off_m).fold(f64::INFINITY, f64::min);
             let far_m2 = |facet: &&(Point, Vector3<f64>, f64)| (facet.0 - place).norm_squared();
-            let facet = thing.facets.iter().min_by(|a, b| far_m2(a).total_cmp(&far_m2(b))).expect("a thing");
-            let angle_rad = facet.1.angle(&Vector3::new(vertex.normal_x, vertex.normal_y, vertex.normal_z));
-            nodes.errors_m.push(error_m);
+            let (facet, normal, _) =
+                thing.facets.iter().min_by(|a, b| far_m2(a).total_cmp(&far_m2(b))).expect("a thing");
+            let angle_rad = normal.angle(&Vector3::new(vertex.normal_x, vertex.normal_y, vertex.normal_z));
+            // From the facet's plane, and from its border.
+            let (off, above_m) = (place - facet, normal.dot(&(place - facet)));
+            let beside_m = (off.norm_squared() - above_m * above_m).max(0.0).sqrt();
+            nodes.errors_m.push(above_m.hypot((beside_m - PITCH_M).max(0.0)));
             nodes.sds_m.push(vertex.sd_m);
             nodes.angles_rad.push(angle_rad.min(std::f64::consts::PI - angle_rad));
         }
