@@ -113,7 +113,7 @@ fn groups(sightings: &[Sighting]) -> Vec<Vec<usize>> {
     let mut centres: Vec<&Sighting> = Vec::new();
     for one in sightings.iter().filter(|one| is_sure(one)) {
         let is_near = |centre: &&Sighting| (centre.point - one.point).norm() < NEAR * one.light.zone_m;
-        if !centres.iter().any(|centre| is_near(&centre)) {
+        if !centres.iter().any(is_near) {
             centres.push(one);
         }
     }

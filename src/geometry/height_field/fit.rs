@@ -66,7 +66,8 @@ impl<'a> Problem<'a> {
     }
 
     fn feet(&self, heights_m: &[f64]) -> Vec<Foot> {
-        self.places.par_iter().map(|place| self.grid.foot(heights_m, place)).collect()
+        let nodes = self.grid.points(heights_m);
+        self.places.par_iter().map(|place| self.grid.foot(&nodes, place)).collect()
     }
 }
 
@@ -91,8 +92,8 @@ impl Fit {
         let mut best: Option<Self> = None;
         let mut heights_m = problem.envelope();
         for bend_per_m in BENDS_PER_M {
-            let fit = Self::new(problem, heights_m, bend_per_m, cancel)?;
-            heights_m = fit.heights_m.clone();
+            let fit = Self::new(problem, heights_m.clone(), bend_per_m, cancel)?;
+            heights_m.clone_from(&fit.heights_m);
             let gain = best.as_ref().map_or(f64::INFINITY, |best| fit.evidence - best.evidence);
             if gain > 0.0 {
                 best = Some(fit);

@@ -47,12 +47,16 @@ impl Grid {
         Point::new(place.x, place.y, height_m)
     }
 
-    /// The point of the surface next to a place: of the triangles about the nearest node.
-    pub fn foot(&self, heights_m: &[f64], place: &Point) -> Foot {
-        let square = |node: usize| (self.point(node, heights_m[node]) - place).norm_squared();
+    /// All nodes at their heights.
+    pub fn points(&self, heights_m: &[f64]) -> Vec<Point> {
+        heights_m.iter().enumerate().map(|(node, height_m)| self.point(node, *height_m)).collect()
+    }
+
+    /// The point of the surface next to a place: of the triangles about the nearest of its nodes.
+    pub fn foot(&self, points: &[Point], place: &Point) -> Foot {
         let mut nearest = (f64::INFINITY, 0);
-        for node in 0..self.count() {
-            let square = square(node);
+        for (node, point) in points.iter().enumerate() {
+            let square = (point - place).norm_squared();
             if square < nearest.0 {
                 nearest = (square, node);
             }
@@ -62,8 +66,7 @@ impl Grid {
         for row in row.saturating_sub(1)..(row + 1).min(self.rows - 1) {
             for column in column.saturating_sub(1)..(column + 1).min(self.columns - 1) {
                 for nodes in self.triangles(column, row) {
-                    let foot =
-                        foot(nodes.map(|node| self.point(node as usize, heights_m[node as usize])), nodes, place);
+                    let foot = foot(nodes.map(|node| points[node as usize]), nodes, place);
                     if best.is_none_or(|best| foot.distance_m < best.distance_m) {
                         best = Some(foot);
                     }
@@ -77,7 +80,7 @@ impl Grid {
     fn triangles(&self, column: usize, row: usize) -> [[u32; 3]; 2] {
         let node = |right: usize, up: usize| ((row + up) * self.columns + column + right) as u32;
         let [a, b, c, d] = [node(0, 0), node(1, 0), node(0, 1), node(1, 1)];
-        if (column + row) % 2 == 0 { [[a, b, d], [a, d, c]] } else { [[a, b, c], [b, d, c]] }
+        if (column + row).is_multiple_of(2) { [[a, b, d], [a, d, c]] } else { [[a, b, c], [b, d, c]] }
     }
 
     /// Steps to the next node along a row and along a column; `None` at the border.

@@ -16,7 +16,7 @@ const BORDER: usize = 2;
 /// Of each node.
 pub fn nodes(grid: &Grid, feet: &[Foot], zone_m: f64) -> Vec<bool> {
     // Corners and edges are seen from many places: the points of one cell count once.
-    let cells: BTreeSet<u32> = feet.iter().map(|foot| largest(foot)).collect();
+    let cells: BTreeSet<u32> = feet.iter().map(largest).collect();
     let is_shown = |node: usize| {
         let here = grid.place(node);
         let mut arms: Vec<_> = cells.iter().map(|cell| grid.place(*cell as usize) - here).collect();
