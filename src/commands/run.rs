@@ -2,8 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::{Component, Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -18,6 +21,7 @@ use periscope::pipeline::roots;
 use periscope::pipeline::run::{self as runner, Outcome, RunError, Settings};
 use periscope::pipeline::shards;
 use periscope::pipeline::spec::{BuiltIn, Definition, Reference, Spec};
+use periscope::pipeline::timeline::Timeline;
 use periscope::store::runs::RunRecord;
 use periscope::store::{Digest, Left, Shelf, StoreError};
 
@@ -67,6 +71,9 @@ pub struct Run {
     /// First read all raw files again, even those with the recorded size, times and inode
     #[arg(long)]
     rehash: bool,
+    /// Write what each stage does when into this file, for Perfetto (https://ui.perfetto.dev)
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     /// Exit with 1 if any input was left out or rejected, or a result is empty
     #[arg(long)]
     strict: bool,
@@ -237,6 +244,12 @@ fn next_to(campaign: &Path) -> Result<PathBuf> {
     Ok(here.join("..").join(with_suffix(name)))
 }
 
+/// A trace that begins now.
+fn timeline(file: &Path) -> Result<Arc<Timeline>> {
+    let begin = || Timeline::new(Box::new(BufWriter::new(File::create(file)?)));
+    Ok(Arc::new(begin().with_context(|| format!("the trace {}", file.display()))?))
+}
+
 /// The command.
 pub fn run(args: &Run) -> Result<ExitCode> {
     let out = results(args.out.as_deref(), &args.campaign)?;
@@ -254,6 +267,7 @@ pub fn run(args: &Run) -> Result<ExitCode> {
         batch_bytes: args.batch.unwrap_or(defaults.batch_bytes),
         channel_batches: args.channel.unwrap_or(defaults.channel_batches),
         max_rejects: args.max_rejects,
+        timeline: args.trace.as_deref().map(timeline).transpose()?,
         ..defaults
     };
     let job = Job {
@@ -273,6 +287,9 @@ pub fn run(args: &Run) -> Result<ExitCode> {
     } else {
         job.execute_and_tell(&mut job.record()?)?
     };
+    if let Some((timeline, file)) = job.settings.timeline.as_ref().zip(args.trace.as_ref()) {
+        timeline.finish().with_context(|| format!("the trace {}", file.display()))?;
+    }
     let is_incomplete = aftermath::tell(&spec, &outcome, &shelf, args.output.format)?;
     Ok(aftermath::exit_code(is_incomplete, args.strict))
 }

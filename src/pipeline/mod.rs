@@ -16,3 +16,4 @@ pub mod run;
 pub mod settings;
 pub mod shards;
 pub mod spec;
+pub mod timeline;

@@ -21,6 +21,7 @@ use super::budget::Budget;
 use super::plan::Plan;
 use super::progress::Progress;
 use super::settings::{RunError, Settings};
+use super::timeline::Timeline;
 use crate::cancel::{Cancel, Cancelled};
 use crate::stages::Node;
 use crate::stages::operator::OutputBatches;
@@ -117,6 +118,16 @@ impl Shared<'_> {
 
     fn heading(&self, step: usize) -> String {
         self.plan.spec.steps[step].heading.clone()
+    }
+
+    /// Does something on behalf of a step, as a span of its track in the timeline.
+    fn span<T>(&self, step: usize, what: &str, body: impl FnOnce() -> T) -> T {
+        Timeline::span(self.settings.timeline.as_deref(), &self.plan.spec.steps[step].heading, what, body)
+    }
+
+    /// The same on behalf of what reads the root of the pass.
+    fn span_of_reader<T>(&self, what: &str, body: impl FnOnce() -> T) -> T {
+        Timeline::span(self.settings.timeline.as_deref(), "reader", what, body)
     }
 
     /// Runs the body of a thread; the first failure stops everybody.

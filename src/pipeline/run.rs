@@ -9,6 +9,7 @@ use super::plan::Plan;
 use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
 pub use super::settings::{RunError, Settings};
+use super::timeline::Timeline;
 use crate::campaign::LeftOut;
 use crate::stages::Node;
 use crate::store::runs::PassRecord;
@@ -74,7 +75,7 @@ fn passes(
         let (whole, wanted) = whole(plan);
         let amount = amount(plan, &pass);
         progress.pass(&headings, amount, whole, wanted);
-        let tables = headings.iter().map(|heading| (*heading).to_owned()).collect();
+        let tables: Vec<String> = headings.iter().map(|heading| (*heading).to_owned()).collect();
         let started = Instant::now();
         for (heading, &step) in headings.into_iter().zip(&pass.steps) {
             // An index whose parts stand is not made anew where its source is read again.
@@ -88,7 +89,10 @@ fn passes(
             }
         }
         let allowed = most_rejects - rejects(plan);
-        let ended = pass::run(plan, &pass, settings, allowed, progress, &mut content);
+        let timeline = settings.timeline.as_deref();
+        let ended = Timeline::span(timeline, "passes", &tables.join(", "), || {
+            pass::run(plan, &pass, settings, allowed, progress, &mut content)
+        });
         let closed =
             plan.sources.get(&pass.root).filter(|_| pass.steps.contains(&pass.root)).map_or(Ok(()), |source| {
                 let heading = plan.spec.steps[pass.root].heading.clone();

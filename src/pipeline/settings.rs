@@ -1,9 +1,12 @@
 //! How a run uses the machine, and what can stop it.
 
+use std::sync::Arc;
+
 use thiserror::Error;
 
 use super::plan::PlanError;
 use super::rejects::{MaxRejects, TooMany};
+use super::timeline::Timeline;
 use crate::cancel::Cancel;
 use crate::stages::stage::StageError;
 use crate::store::StoreError;
@@ -23,6 +26,8 @@ pub struct Settings {
     pub max_rejects: Option<MaxRejects>,
     /// Ends the run from outside: what is under way is dropped, what is finished is kept.
     pub cancel: Cancel,
+    /// Takes down what each thread does when.
+    pub timeline: Option<Arc<Timeline>>,
 }
 
 impl Default for Settings {
@@ -34,6 +39,7 @@ impl Default for Settings {
             replay_rows: 256,
             max_rejects: None,
             cancel: Cancel::new(),
+            timeline: None,
         }
     }
 }

@@ -182,3 +182,42 @@ fn output_that_cannot_be_written_is_an_error() {
         "{errors}"
     );
 }
+
+/// A trace has a track for each stage, in whose spans no two overlap unless one holds the other, and changes no result.
+#[test]
+fn a_trace_says_what_each_stage_does_when() {
+    let run = periscope(
+        &LAB,
+        &["run", "all-visible", "--campaign", "campaign", "--out", "traced", "--trace", "trace.json", "--threads", "2"],
+    );
+    assert_eq!(run.status.code(), Some(0), "{run:?}");
+    let same = periscope(&LAB, &["diff", "a", "traced"]);
+    assert_eq!(same.status.code(), Some(0), "{same:?}");
+    let events: Vec<Value> = serde_json::from_slice(&std::fs::read(LAB.path("trace.json")).unwrap()).unwrap();
+    let named = events.iter().filter(|event| event["name"] == "thread_name");
+    let tracks: Vec<(u64, &str)> =
+        named.map(|event| (event["tid"].as_u64().unwrap(), event["args"]["name"].as_str().unwrap())).collect();
+    for track in ["passes", "reader", "profiles", "stir", "onsets", "labels", "patches"] {
+        assert!(tracks.iter().any(|(_, name)| *name == track), "{track} is not among {tracks:?}");
+    }
+    for (track, name) in tracks {
+        let of_track = events.iter().filter(|event| event["tid"] == track && event["ph"] == "X");
+        let ends = |event: &Value| {
+            let from = event["ts"].as_f64().unwrap();
+            (from, from + event["dur"].as_f64().unwrap())
+        };
+        let mut spans: Vec<(f64, f64)> = of_track.map(ends).collect();
+        assert!(!spans.is_empty(), "{name} does nothing");
+        spans.sort_by(|a, b| a.0.total_cmp(&b.0).then(b.1.total_cmp(&a.1)));
+        for pair in spans.windows(2) {
+            let [(_, end), (next, next_end)] = [pair[0], pair[1]];
+            assert!(next >= end - 1e-3 || next_end <= end + 1e-3, "spans of {name} overlap: {pair:?}");
+        }
+    }
+    let missing = periscope(
+        &LAB,
+        &["run", "all-visible", "--campaign", "campaign", "--out", "none", "--trace", "no-such-folder/trace.json"],
+    );
+    let said = String::from_utf8_lossy(&missing.stderr).into_owned();
+    assert!(missing.status.code() != Some(0) && said.contains("no-such-folder/trace.json"), "{said}");
+}

@@ -344,3 +344,46 @@ fn the_examples_of_the_page_run() {
     }
     assert!(blocks > 10, "{blocks} blocks");
 }
+
+/// Ellipsoids of the viewer have the covariances of the table: their axes, turned, give these again.
+#[test]
+fn a_viewer_is_given_what_the_tables_hold() {
+    let code = "
+import json, runpy, sys
+import numpy as np
+viewer = runpy.run_path(sys.argv[1])
+for path, archetype, values in viewer['things']('results'):
+    centres, axes_m2 = values.get('positions', values.get('centers')), None
+    if archetype == 'Ellipsoids3D':
+        turned = []
+        for (x, y, z, w), half in zip(values['quaternions'], values['half_sizes']):
+            turn = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                             [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
+            turned.append((turn @ np.diag((half / 2) ** 2) @ turn.T).ravel().tolist())
+        axes_m2 = turned
+    print(json.dumps([path, archetype, None if centres is None else len(centres), axes_m2]))
+nodes = viewer['pl'].DataFrame({'grid_row': [0, 0, 1, 1, 2], 'grid_column': [0, 1, 0, 1, 1]})
+print(json.dumps(viewer['triangles'](nodes)))
+";
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("queries/rerun-viewer.py");
+    let Some(text) = printed(LAB.path(), &["-c", code, &script.display().to_string()]) else { return };
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let patches: Vec<Patch> = rows("results", "patches");
+    let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
+    let of = |archetype: &str| -> Vec<&Value> { lines.iter().filter(|line| line[1] == archetype).collect() };
+    let shown: u64 = of("Points3D").iter().map(|line| line[2].as_u64().unwrap()).sum();
+    assert!(shown as usize == best.len() && !best.is_empty(), "{lines:?}");
+    let covariances: Vec<&Value> = of("Ellipsoids3D").iter().flat_map(|line| line[3].as_array().unwrap()).collect();
+    let known: Vec<&&Patch> =
+        best.iter().filter(|patch| patch.cov_xx_m2.is_some_and(|variance| variance > 0.0)).collect();
+    assert!(covariances.len() == known.len() && !known.is_empty(), "{lines:?}");
+    for (covariance, patch) in covariances.iter().zip(known) {
+        let expected = [patch.cov_xx_m2, patch.cov_xy_m2, patch.cov_xz_m2].map(Option::unwrap);
+        for (value, expected) in covariance.as_array().unwrap().iter().zip(expected) {
+            assert!((value.as_f64().unwrap() - expected).abs() < 1e-12, "{covariance} {patch:?}");
+        }
+    }
+    // Four nodes are two triangles, three are one.
+    assert_eq!(lines.last().unwrap(), &serde_json::json!([[0, 1, 3], [0, 3, 2], [2, 3, 4]]));
+}

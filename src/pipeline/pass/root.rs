@@ -23,7 +23,7 @@ pub(super) fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>
                 Some((joined, pieces)) => {
                     pieces.join(part, &joined.learnt, &feed).map(|content| PartRead { content, rejections: Vec::new() })
                 }
-                None => source.read(part, shared.settings.batch_bytes, &feed),
+                None => shared.span_of_reader("read", || source.read(part, shared.settings.batch_bytes, &feed)),
             };
             let PartRead { content, rejections } = part_read.map_err(|error| shared.failed(pass.root, error))?;
             shared.content.lock().unwrap_or_else(PoisonError::into_inner).insert((pass.root, part), content);
@@ -31,7 +31,7 @@ pub(super) fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>
             let lineage = plan.part_lineage(pass.root, &content, &beside);
             send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
         } else {
-            replay(shared, pass.root, part, children)?;
+            shared.span_of_reader("read back", || replay(shared, pass.root, part, children))?;
         }
     }
     send(children, || Message::End)
@@ -69,11 +69,13 @@ impl Feed for Channel<'_> {
     }
 
     fn reserve(&self, bytes: usize) -> Result<Credit, StageError> {
-        self.shared.budget.reserve(bytes.min(self.shared.settings.memory_bytes / 2))
+        let bytes = bytes.min(self.shared.settings.memory_bytes / 2);
+        self.shared.span_of_reader("wait for memory", || self.shared.budget.reserve(bytes))
     }
 
     fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError> {
-        send(self.children, || Message::Rows(batch.clone(), Some(credit.clone()))).map_err(|_| StageError::Stopped)
+        let rows = || Message::Rows(batch.clone(), Some(credit.clone()));
+        self.shared.span_of_reader("hand on", || send(self.children, rows)).map_err(|_| StageError::Stopped)
     }
 
     fn read_bytes(&self, bytes: u64) {

@@ -61,33 +61,35 @@ pub(super) fn work(
     let mut inputs = Vec::new();
     let mut writer = None;
     loop {
-        let message = input.recv().map_err(|_| Failure::Stopped)?;
+        let message = shared.span(step, "wait for rows", || input.recv()).map_err(|_| Failure::Stopped)?;
         shared.go_on()?;
         match message {
             Message::Rows(batch, credit) => {
-                let output = running.push(&batch).map_err(failed)?;
-                emit(shared, step, &mut writer, output, children, credit.as_ref())?;
+                let output = shared.span(step, "compute", || running.push(&batch)).map_err(failed)?;
+                shared.span(step, "write and hand on", || {
+                    emit(shared, step, &mut writer, output, children, credit.as_ref())
+                })?;
             }
             Message::Stored(batch) => open(shared, step, &mut writer)?.write(0, &batch)?,
             Message::PartEnd(part, lineage, rejections) if streams => {
-                let mut output = running.flush().map_err(failed)?;
+                let mut output = shared.span(step, "compute", || running.flush()).map_err(failed)?;
                 output.rejections.extend(rejections);
-                emit(shared, step, &mut writer, output, children, None)?;
+                shared.span(step, "write and hand on", || emit(shared, step, &mut writer, output, children, None))?;
                 let lineage = match &plan.spec.steps[step].node {
                     Node::Source(_) => lineage,
                     Node::Operator(_) => plan.part_lineage(step, &lineage, &beside),
                 };
-                end_part(shared, step, &mut writer, part, lineage, children)?;
+                shared.span(step, "end of a part", || end_part(shared, step, &mut writer, part, lineage, children))?;
             }
             Message::PartEnd(_, lineage, _) => inputs.push(lineage),
             Message::End => break,
         }
     }
     if !streams {
-        let output = running.flush().map_err(failed)?;
-        emit(shared, step, &mut writer, output, children, None)?;
+        let output = shared.span(step, "compute", || running.flush()).map_err(failed)?;
+        shared.span(step, "write and hand on", || emit(shared, step, &mut writer, output, children, None))?;
         let lineage = plan.part_lineage(step, &TableRecord::lineage_of(&inputs), &beside);
-        end_part(shared, step, &mut writer, 0, lineage, children)?;
+        shared.span(step, "end of a part", || end_part(shared, step, &mut writer, 0, lineage, children))?;
     }
     send(children, || Message::End)
 }
