@@ -86,14 +86,12 @@ impl Timeline {
     fn write(&self, track: &str, event: impl FnOnce(usize) -> Value) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let next = state.tracks.len() + 1;
-        let outcome = match state.tracks.get(track).copied() {
-            Some(id) => state.line(&event(id)),
-            None => {
-                state.tracks.insert(track.to_owned(), next);
-                let name =
-                    json!({ "ph": "M", "pid": 1, "tid": next, "name": "thread_name", "args": { "name": track } });
-                state.line(&name).and_then(|()| state.line(&event(next)))
-            }
+        let outcome = if let Some(id) = state.tracks.get(track).copied() {
+            state.line(&event(id))
+        } else {
+            state.tracks.insert(track.to_owned(), next);
+            let name = json!({ "ph": "M", "pid": 1, "tid": next, "name": "thread_name", "args": { "name": track } });
+            state.line(&name).and_then(|()| state.line(&event(next)))
         };
         if let Err(error) = outcome {
             state.failure.get_or_insert(error);
