@@ -13,8 +13,8 @@
 //! | `shown` | which nodes first light shows |
 //!
 //! Curvatures have a prior of Student's: small ones, and few that are large, where the surface ends or has a ridge. It
-//! bends away behind an edge, as the surface that reaches furthest and lies behind no length. Their size is the one
-//! that the lengths make likeliest.
+//! bends away behind an edge, as the surface that reaches furthest and lies behind no length. Their size is set by
+//! the one that the lengths make likeliest.
 //!
 //! Lengths are fitted as if errors of their law were independent, and error bars count them as the smooth function over
 //! the wall that they are: were they fitted as one, they would take up what the surface is bent by. A node counts only
@@ -39,7 +39,7 @@ use periscope_cancel::Cancel;
 
 use super::Point;
 use super::axes::across;
-use super::shapes::Sighting;
+use super::shapes::{Sighting, median};
 use fit::{Fit, Problem};
 use grid::Grid;
 use spread::Spread;
@@ -148,8 +148,8 @@ fn height_field(sightings: &[Sighting], members: Vec<usize>, cancel: &Cancel) ->
     let grid = frame.grid(&all, zone_m);
     let places: Vec<Point> = all.iter().map(|one| frame.local(&one.seen)).collect();
     let problem = Problem::new(&grid, &places, &all);
-    let fit = Fit::likeliest(&problem, cancel)?;
-    if fit.bend_per_m * zone_m > SMOOTH_RAD {
+    let (bend_per_m, fit) = Fit::loose(&problem, cancel)?;
+    if bend_per_m * zone_m > SMOOTH_RAD {
         return None;
     }
     let misfit = fit.square / members.len() as f64;
@@ -173,7 +173,7 @@ fn height_field(sightings: &[Sighting], members: Vec<usize>, cancel: &Cancel) ->
     let nodes: Vec<Node> = (0..grid.count()).filter(|n| is_shown[*n]).filter_map(node).collect();
     let axis = frame.axes.column(2).into_owned();
     let spacing_m = grid.spacing_m;
-    (!nodes.is_empty()).then_some(HeightField { axis, spacing_m, nodes, bend_per_m: fit.bend_per_m, members, misfit })
+    (!nodes.is_empty()).then_some(HeightField { axis, spacing_m, nodes, bend_per_m, members, misfit })
 }
 
 /// Axes of a grid, the third towards the wall, and its origin.
@@ -211,9 +211,4 @@ impl Frame {
         let spacing_m = (SPACING * zone_m).max(((right - left) * (high - low) / MOST_NODES).sqrt());
         Grid::new(Vector2::new(left, low), Vector2::new(right, high), spacing_m)
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

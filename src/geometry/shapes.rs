@@ -33,7 +33,7 @@ mod errors;
 mod grow;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use faer::Mat;
 use nalgebra::{Matrix3, Vector3};
@@ -357,7 +357,8 @@ fn spread(members: &[u32], most: usize) -> Vec<u32> {
     members.iter().step_by(step).copied().collect()
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// The middle one.
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -10,6 +10,9 @@ use crate::shapes::Sighting;
 
 /// Sizes of curvatures that are tried, in turn (1/m). The largest is that of what has edges at each node.
 const BENDS_PER_M: [f64; 7] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25];
+/// By so many of these sizes a surface is bent more than is likeliest. Its heights are as near, and their errors are
+/// those of bars: the likeliest size smooths edges and what is bent alike all over, by more than the prior expects.
+const LOOSER: usize = 2;
 /// A size that is less likely than the likeliest by so much (logarithm) ends the search.
 const LESS: f64 = 60.0;
 /// Degrees of freedom of the curvatures' prior, and the side of a patch of the surface that has one curvature.
@@ -87,21 +90,24 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// With the likeliest size of curvatures; `None` if that is the largest: then nothing is smooth.
-    pub fn likeliest(problem: &Problem<'_>, cancel: &Cancel) -> Option<Self> {
-        let mut best: Option<Self> = None;
+    /// The likeliest size of curvatures, and the fit with larger ones. `None` if the largest is likeliest: then nothing
+    /// is smooth.
+    pub fn loose(problem: &Problem<'_>, cancel: &Cancel) -> Option<(f64, Self)> {
+        let mut fits: Vec<Self> = Vec::new();
+        let mut best = 0;
         let mut heights_m = problem.envelope();
-        for bend_per_m in BENDS_PER_M {
+        for (n, bend_per_m) in BENDS_PER_M.into_iter().enumerate() {
             let fit = Self::new(problem, heights_m.clone(), bend_per_m, cancel)?;
             heights_m.clone_from(&fit.heights_m);
-            let gain = best.as_ref().map_or(f64::INFINITY, |best| fit.evidence - best.evidence);
+            fits.push(fit);
+            let gain = fits[n].evidence - fits[best].evidence;
             if gain > 0.0 {
-                best = Some(fit);
+                best = n;
             } else if gain < -LESS {
                 break;
             }
         }
-        best.filter(|fit| fit.bend_per_m < BENDS_PER_M[0])
+        (best > 0).then(|| (BENDS_PER_M[best], fits.swap_remove(best.saturating_sub(LOOSER))))
     }
 
     /// From these heights on.

@@ -8,20 +8,20 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::*;
 
-const NOISE_M: f64 = 5e-4;
-const LAW_M: f64 = 8e-4;
-const COMMON_M: f64 = 2e-4;
-const ZONE_M: f64 = 0.07;
+pub const NOISE_M: f64 = 5e-4;
+pub const LAW_M: f64 = 8e-4;
+pub const COMMON_M: f64 = 2e-4;
+pub const ZONE_M: f64 = 0.07;
 
 /// What a place sees: its nearest point, and what part that is.
 type Seen = (Point, Part);
 
-fn normal(random: &mut ChaCha8Rng) -> f64 {
+pub fn normal(random: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(random)
 }
 
 /// A smooth random function of standard deviation 1: waves of random directions, as many as make it nearly Gaussian.
-fn smooth(random: &mut ChaCha8Rng) -> impl Fn(f64, f64) -> f64 + use<> {
+pub fn smooth(random: &mut ChaCha8Rng) -> impl Fn(f64, f64) -> f64 + use<> {
     let waves: Vec<[f64; 3]> = (0..300)
         .map(|_| [normal(random) / ZONE_M, normal(random) / ZONE_M, random.random::<f64>() * std::f64::consts::TAU])
         .collect();
