@@ -10,8 +10,8 @@ use crate::shapes::Sighting;
 
 /// Sizes of curvatures that are tried, in turn (1/m). The largest is that of what has edges at each node.
 const BENDS_PER_M: [f64; 7] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25];
-/// By so many of these sizes a surface is bent more than is likeliest. Its heights are as near, and their errors are
-/// those of bars: the likeliest size smooths edges and what is bent alike all over, by more than the prior expects.
+/// By so many of these sizes a surface may bend more than is likeliest: that would smooth edges, and what is bent alike
+/// all over, by more than its error bars say.
 const LOOSER: usize = 2;
 /// A size that is less likely than the likeliest by so much (logarithm) ends the search.
 const LESS: f64 = 60.0;
