@@ -1,5 +1,7 @@
 //! `periscope design`.
 
+mod wall;
+
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,6 +12,7 @@ use periscope::bound::Use;
 use periscope::bound::outlook::{Change, Outlook};
 use periscope::campaign::keys::PatchRole;
 use periscope::simulate::Scene;
+use periscope::simulate::wall::WallScene;
 use serde_json::json;
 
 use super::output::{Format, Output, Rows, json, print, print_text};
@@ -17,7 +20,7 @@ use super::output::{Format, Output, Rows, json, print, print_text};
 /// Arguments of `design`.
 #[derive(Args)]
 pub struct Design {
-    /// Scene description (TOML), as for `simulate`
+    /// Scene description (TOML), as for `simulate`; or a wall and surfaces that it is to show ([wall], [surfaces.NAME])
     scene: PathBuf,
     /// Highest order of bounces that the geometry uses: 2, or 3 where the scene has hidden patches
     #[arg(long, value_name = "N")]
@@ -34,10 +37,17 @@ const LISTED: usize = 10;
 
 /// The command.
 pub fn design(args: &Design) -> Result<ExitCode> {
-    let mut scene = Scene::load(&args.scene)?;
     if args.threshold.is_nan() || args.threshold <= 0.0 {
         bail!("--threshold {} must be above 0", args.threshold);
     }
+    if WallScene::is_in(&args.scene)? {
+        if args.bounces.is_some() {
+            bail!("--bounces has no meaning for a wall: first light of a surface is light of three bounces");
+        }
+        wall::design(&WallScene::load(&args.scene)?, args.threshold, &args.output)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut scene = Scene::load(&args.scene)?;
     let hidden = scene.patches.values().any(|disk| disk.role == PatchRole::Hidden);
     let bounces = args.bounces.unwrap_or(if hidden { 3 } else { 2 });
     if !(1..=5).contains(&bounces) {

@@ -186,7 +186,9 @@ pub fn surface_points(
             rounds.find_faces(cancel);
         }
     }
-    rounds.points().into_iter().flatten().collect()
+    let mut points: Vec<SurfacePoint> = rounds.points().into_iter().flatten().collect();
+    points.par_iter_mut().for_each(|point| rounds.choice(point.place).add_slides(scan, point));
+    points
 }
 
 /// What is known of each place, and what a round hands on to the next.

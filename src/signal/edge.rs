@@ -38,6 +38,8 @@ const SLOPE_SD: f64 = 0.1;
 const STEPS: usize = 30;
 const HALVINGS: usize = 10;
 const TURNS: usize = 4;
+/// Gain of a step, in logarithms of the likelihood, that ends the fit.
+const DONE: f64 = 1e-6;
 /// Least number of bins in the window.
 const LEAST: usize = 8;
 /// Farthest step of the first return from its start, in standard deviations of the response.
@@ -131,12 +133,14 @@ pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64>
 }
 
 /// Bins about a first return. Likelihoods of laws in it compare.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Window<'a> {
     all: Bins<'a>,
     bins: Bins<'a>,
     rises: &'a Rises,
     background: Background,
+    /// Background of each bin over that at the start.
+    before: Vec<f64>,
     start_ps: f64,
     /// Least background.
     least: f64,
@@ -144,6 +148,14 @@ pub struct Window<'a> {
 
 /// First return, background, height, slope.
 type Unknowns = [f64; 4];
+
+/// Logarithm of the likelihood at some unknowns, its gradient, and the lower half of the information.
+struct Likelihood {
+    unknowns: Unknowns,
+    logarithm: f64,
+    gradient: Unknowns,
+    information: [Unknowns; 4],
+}
 
 impl<'a> Window<'a> {
     /// About the first return near a time; `None` where there is none.
@@ -190,21 +202,17 @@ impl<'a> Window<'a> {
             Noise::Counts => 0.02 / (to - from) as f64,
             Noise::Gauss { .. } => f64::NEG_INFINITY,
         };
-        Some(Self {
-            all: *bins,
-            bins: Bins { first_ps, values: &bins.values[from..to], ..*bins },
-            rises,
-            background,
-            start_ps,
-            least,
-        })
+        let at_start = background.at(start_ps);
+        let before = (from..to).map(|n| background.at(bins.first_ps + n as f64 * bins.dt_ps) / at_start).collect();
+        let bins_here = Bins { first_ps, values: &bins.values[from..to], ..*bins };
+        Some(Self { all: *bins, bins: bins_here, rises, background, before, start_ps, least })
     }
 
     /// Rate of a bin and its slopes by the unknowns.
     fn rate(&self, law: &Rise, [tau, background, height, slope]: Unknowns, n: usize) -> (f64, Unknowns) {
         let time_ps = self.bins.first_ps + n as f64 * self.bins.dt_ps - tau;
         let [value, next, rise, next_rise] = law.at(time_ps);
-        let before = self.background.at(time_ps + tau) / self.background.at(self.start_ps);
+        let before = self.before[n];
         let rate = background * before + height * value + slope * next;
         (rate, [-(height * rise + slope * next_rise), before, value, next])
     }
@@ -214,37 +222,36 @@ impl<'a> Window<'a> {
         -DECLINE * self.rises.sigma_ps() / self.start_ps.max(self.rises.sigma_ps())
     }
 
-    fn log_likelihood(&self, law: &Rise, unknowns: Unknowns) -> f64 {
-        let of_bin = |(n, value): (usize, &f64)| {
-            let (rate, _) = self.rate(law, unknowns, n);
-            match self.bins.noise {
-                Noise::Counts => value * rate.max(1e-9).ln() - rate.max(1e-9),
-                Noise::Gauss { sd } => -0.5 * ((value - rate) / sd).powi(2),
-            }
-        };
-        let prior = ((unknowns[3] / unknowns[2] - self.slope()) / SLOPE_SD).powi(2);
-        self.bins.values.iter().enumerate().map(of_bin).sum::<f64>() - 0.5 * prior
-    }
-
-    /// Information and gradient of the likelihood.
-    fn information(&self, law: &Rise, unknowns: Unknowns) -> ([Unknowns; 4], Unknowns) {
-        let (mut information, mut gradient) = ([[0.0; 4]; 4], [0.0; 4]);
+    /// Logarithm of the likelihood, its gradient, and Fisher's information, at these unknowns.
+    fn likelihood(&self, law: &Rise, unknowns: Unknowns) -> Likelihood {
+        let mut likelihood = Likelihood { unknowns, logarithm: 0.0, gradient: [0.0; 4], information: [[0.0; 4]; 4] };
+        let Likelihood { logarithm, gradient, information, .. } = &mut likelihood;
         let floor = 0.3 / self.bins.values.len() as f64;
         for (n, value) in self.bins.values.iter().enumerate() {
             let (rate, slopes) = self.rate(law, unknowns, n);
             let weight = match self.bins.noise {
-                Noise::Counts => 1.0 / rate.max(floor),
-                Noise::Gauss { sd } => 1.0 / (sd * sd),
+                Noise::Counts => {
+                    let mean = rate.max(1e-9);
+                    // Most bins of weak light are empty, and need no logarithm.
+                    *logarithm += if *value == 0.0 { -mean } else { value * mean.ln() - mean };
+                    1.0 / rate.max(floor)
+                }
+                Noise::Gauss { sd } => {
+                    *logarithm -= 0.5 * ((value - rate) / sd).powi(2);
+                    1.0 / (sd * sd)
+                }
             };
             for a in 0..4 {
                 gradient[a] += (value - rate) * weight * slopes[a];
                 (0..=a).for_each(|b| information[a][b] += weight * slopes[a] * slopes[b]);
             }
         }
-        let prior = (SLOPE_SD * unknowns[2]).powi(-2);
-        information[3][3] += prior;
-        gradient[3] -= prior * (unknowns[3] - self.slope() * unknowns[2]);
-        (information, gradient)
+        let [.., height, slope] = unknowns;
+        let precision = (SLOPE_SD * height).powi(-2);
+        *logarithm -= 0.5 * ((slope / height - self.slope()) / SLOPE_SD).powi(2);
+        information[3][3] += precision;
+        gradient[3] -= precision * (slope - self.slope() * height);
+        likelihood
     }
 
     fn start(&self, law: &Rise) -> Unknowns {
@@ -261,43 +268,42 @@ impl<'a> Window<'a> {
 
     /// The likeliest unknowns; with a time that is given, the likeliest others, and one step of the time.
     fn fit(&self, law: &Rise, given_ps: Option<f64>) -> Option<FirstReturn> {
-        let mut unknowns = self.start(law);
-        unknowns[0] = given_ps.unwrap_or(unknowns[0]);
-        let mut now = self.log_likelihood(law, unknowns);
+        let mut start = self.start(law);
+        start[0] = given_ps.unwrap_or(start[0]);
+        let mut best = self.likelihood(law, start);
         for _ in 0..STEPS {
-            let (mut information, gradient) = self.information(law, unknowns);
+            let mut information = best.information;
             if given_ps.is_some() {
                 information[0][0] = f64::INFINITY;
             }
-            let step = solve(&root(information)?, gradient);
+            let step = solve(&root(information)?, best.gradient);
             let next = (0..HALVINGS).find_map(|halving| {
                 let share = 0.5_f64.powi(halving as i32);
-                let mut next: Unknowns = std::array::from_fn(|a| unknowns[a] + share * step[a]);
+                let mut next: Unknowns = std::array::from_fn(|a| best.unknowns[a] + share * step[a]);
                 next[1] = next[1].max(self.least);
                 let is_near = (next[0] - self.start_ps).abs() < FARTHEST * self.rises.sigma_ps();
-                let then = (next[2] > 0.0 && is_near).then(|| self.log_likelihood(law, next))?;
-                (then > now).then_some((next, then))
+                let next = (next[2] > 0.0 && is_near).then(|| self.likelihood(law, next))?;
+                (next.logarithm > best.logarithm).then_some(next)
             });
-            let Some((next, then)) = next else { break };
-            let is_done = then - now < 1e-6;
-            (unknowns, now) = (next, then);
+            let Some(next) = next else { break };
+            let is_done = next.logarithm - best.logarithm < DONE;
+            best = next;
             if is_done {
                 break;
             }
         }
-        let (information, gradient) = self.information(law, unknowns);
-        let root = root(information)?;
+        let root = root(best.information)?;
         let variance = solve(&root, [1.0, 0.0, 0.0, 0.0])[0];
-        let [time_ps, _, height, _] = unknowns;
+        let [time_ps, _, height, _] = best.unknowns;
         // What the prior of the slope moves, counts against it.
         let by_slope_ps = solve(&root, [1.0, 0.0, 0.0, 0.0])[3] / (SLOPE_SD * SLOPE_SD * height);
-        let step_ps = given_ps.map_or(0.0, |_| solve(&root, gradient)[0]);
+        let step_ps = given_ps.map_or(0.0, |_| solve(&root, best.gradient)[0]);
         Some(FirstReturn {
             time_ps: time_ps + step_ps,
             sd_ps: variance.sqrt(),
             height,
             decline_ps: (by_slope_ps * DECLINE_SD).abs(),
-            log_likelihood: now,
+            log_likelihood: best.logarithm,
         })
     }
 }

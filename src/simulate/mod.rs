@@ -94,6 +94,7 @@ mod scene;
 mod session;
 pub mod transport;
 mod truth;
+pub mod wall;
 
 use std::path::{Path, PathBuf};
 

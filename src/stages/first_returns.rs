@@ -27,25 +27,26 @@
 //! with = { profiles = "profiles", calibration = "calibration" }
 //! ```
 
+mod timing;
+
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side, Stage, StageError};
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{self, Face, Kind, LEAST, Place, Return, Scan, surface_points, wall_normal};
+use crate::geometry::first_return::{self, Kind, LEAST, wall_normal};
 use crate::parameter::{NonNegative, Positive};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
 use crate::priors::covariances::upper;
 use crate::priors::relay_histograms::{self, Fields, Histogram, Times, Waveforms};
-use crate::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Noise, Rises, STEP, Window};
+use crate::signal::edge::{Bins, Noise, Rises};
 use crate::tables::{JointSearch, Patch, SurfacePoint};
 use crate::units::PatchId;
+pub use timing::Timing;
 
 /// Samples of the response across its width.
 const SAMPLES: f64 = 40.0;
@@ -88,7 +89,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -155,45 +156,17 @@ impl FirstReturns {
                 "a scan needs {LEAST} seen points or more, lit themselves or with one lit point; there is none"
             ));
         }
-        let scan = Setting { times: &times, rises: &rises, medium, inwards };
-        Ok(groups.into_iter().flat_map(|group| self.of_scan(context, &scan, group)).collect())
-    }
-
-    /// Points of one scan.
-    fn of_scan(
-        &self,
-        context: &Context,
-        &Setting { times, rises, medium, inwards }: &Setting<'_>,
-        (lit, members): (Option<Point>, Vec<&Histogram<'_>>),
-    ) -> Vec<SurfacePoint> {
-        let records: Vec<Record<'_, '_>> = members.into_iter().filter_map(|one| Record::new(one, times)).collect();
-        let threshold = self.threshold_sigma.get();
-        let starts: Vec<(&Record<'_, '_>, f64)> = records
-            .par_iter()
-            .filter_map(|record| Some((record, edge::first_rise(&record.bins(), rises.sigma_ps(), threshold)?)))
-            .collect();
-        let before: Vec<(Bins<'_>, f64)> = starts.iter().map(|(record, start)| (record.bins(), *start)).collect();
-        let background = Background::before(&before, rises.sigma_ps());
-        let timed: Vec<(&Histogram<'_>, Window<'_>, Place)> = starts
-            .par_iter()
-            .filter_map(|(record, start_ps)| {
-                context.cancel.check();
-                let window = Window::about(&record.bins(), rises, background, *start_ps)?;
-                let [step, edge, corner] = [STEP, EDGE, CORNER]
-                    .map(|ends| returned(window.first_return(&[edge::Face::quarter(ends)]), medium));
-                let place = Place { seen: record.histogram.seen, returns: [step?, edge?, corner?] };
-                Some((record.histogram, window, place))
-            })
-            .collect();
-        let places = timed.iter().map(|(.., place)| *place).collect();
-        let scan = Scan { lit, inwards, sigma_m: medium.path_m(rises.sigma_ps()), places };
-        let again = |place: usize, faces: &[Face], length_m: f64| {
-            let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
-            let faces: Vec<edge::Face> = faces.iter().map(face).collect();
-            returned(timed[place].1.first_return_near(&faces, medium.time_ps(length_m)), medium)
+        let of_scan = |(lit, members): (Option<Point>, Vec<&Histogram<'_>>)| {
+            let records: Vec<Record<'_, '_>> =
+                members.into_iter().filter_map(|histogram| Record::new(histogram, &times)).collect();
+            let bins: Vec<(Point, Bins<'_>)> =
+                records.iter().map(|record| (record.histogram.seen, record.bins())).collect();
+            let threshold_sigma = self.threshold_sigma.get();
+            let timing = Timing { lit, inwards, medium, rises: &rises, threshold_sigma };
+            let points = timing.points(&bins, &context.cancel);
+            points.iter().map(|(n, point)| row(point, records[*n].histogram.pair())).collect::<Vec<_>>()
         };
-        let points = surface_points(&scan, again, &context.cancel);
-        points.iter().map(|point| row(point, timed[point.place].0.pair())).collect()
+        Ok(groups.into_iter().flat_map(of_scan).collect())
     }
 
     /// The beginnings of light behind the response: that of the wall's own light, else that of the calibration.
@@ -210,14 +183,6 @@ impl FirstReturns {
         let values: Vec<f64> = (0..count).map(value).collect();
         Rises::new([support_ps, step_ps], &values, [width_ps, first.dt_ps()])
     }
-}
-
-/// What scans have in common.
-struct Setting<'a> {
-    times: &'a Times,
-    rises: &'a Rises,
-    medium: Medium,
-    inwards: Vector3<f64>,
 }
 
 /// The light of a histogram behind the gate.
@@ -244,13 +209,6 @@ impl<'h, 'a> Record<'h, 'a> {
         let dt_ps = self.histogram.dt_ps();
         Bins { first_ps: self.first_ps, dt_ps, values: &self.values, noise: self.noise }
     }
-}
-
-/// A first return as a length.
-fn returned(first: Option<FirstReturn>, medium: Medium) -> Option<Return> {
-    let FirstReturn { time_ps, sd_ps, decline_ps, log_likelihood, .. } = first?;
-    let [length_m, sd_m, common_m] = [time_ps, sd_ps, decline_ps].map(|time_ps| medium.path_m(time_ps));
-    Some(Return { length_m, sd_m, common_m, log_likelihood })
 }
 
 /// First time and step at which a response is sampled.

@@ -12,6 +12,7 @@ mod cli;
 mod cluster;
 mod commands;
 mod corner;
+mod design_wall;
 mod determinism;
 mod diff;
 mod drift;

@@ -82,6 +82,19 @@ impl<'a> Choice<'a> {
         })
     }
 
+    /// Adds what the nearest point may be off by along the surface where the bent field is hollow.
+    pub fn add_slides(&self, scan: &Scan, point: &mut SurfacePoint) {
+        let Some(bent) = self.bent else { return };
+        let square_m2 = |n: &u32| (self.samples[*n as usize].at - bent.field.at).norm_squared();
+        let mean_m2 = bent.members.iter().map(square_m2).sum::<f64>() / bent.members.len() as f64;
+        let lit = scan.lit.as_ref();
+        for (direction, sd_m) in bent.field.slides(lit, mean_m2.sqrt()) {
+            let variance_m2 = direction * direction.transpose() * sd_m.powi(2) * (1.0 - self.share);
+            point.covariance_m2 += variance_m2;
+            point.normal_covariance += variance_m2 / bent.field.distance_m(lit).powi(2);
+        }
+    }
+
     fn kind(&self, scan: &Scan) -> Kind {
         let mut shares = [0.0; 3];
         match self.bent.map(|bent| bent.field.kind(scan.lit.as_ref())) {

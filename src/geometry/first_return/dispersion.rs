@@ -11,7 +11,7 @@
 //!
 //! Source: the method of moments for components of variance, Henderson, Biometrics 9:226, 1953.
 
-use super::local::{Covariance, Local, Sample, Unknowns};
+use super::local::{Covariance, Local, Sample, Unknowns, WAVE_VARIANCES, WAVES};
 
 /// Sums over pairs of neighbours: products of residuals, weighted, less those of noise, and their mean where the error
 /// is 1 m.
@@ -46,16 +46,17 @@ impl Dispersion {
         members.iter().enumerate().for_each(|(k, n)| place[*n as usize] = Some(k));
         let pair = |(k, n): (usize, &u32)| Some([k, place[near[*n as usize][1] as usize]?]);
         let pairs: Vec<[usize; 2]> = members.iter().enumerate().filter_map(pair).collect();
-        let inverse = field.information(samples, members).0.cholesky()?.inverse();
+        let inverse = field.normal_equations(samples, members).information.cholesky()?.inverse();
         let weighted = |[a, b]: &[usize; 2]| lines[*a].weight * lines[*b].weight;
         let summed = |value: &dyn Fn(usize) -> f64| -> f64 {
             pairs.iter().map(|pair| weighted(pair) * value(pair[0]) * value(pair[1])).sum()
         };
         let mut mean = 0.0;
-        for (weight, wave) in field.waves(samples, members, zone_m) {
-            let taken: Unknowns = lines.iter().zip(&wave).map(|(line, wave)| line.slopes * (line.weight * wave)).sum();
-            let taken = inverse * taken;
-            mean += weight * summed(&|k| wave[k] - lines[k].slopes.dot(&taken));
+        let waves: Vec<[f64; WAVES]> = field.waves(samples, members, zone_m).collect();
+        for (n, variance) in WAVE_VARIANCES.into_iter().enumerate() {
+            let taken = |(line, waves): (&Line, &[f64; WAVES])| line.slopes * (line.weight * waves[n]);
+            let taken = inverse * lines.iter().zip(&waves).map(taken).sum::<Unknowns>();
+            mean += variance * summed(&|k| waves[k][n] - lines[k].slopes.dot(&taken));
         }
         let noise = |line: &Line| line.slopes * line.slopes.transpose() * (line.weight.powi(2) * line.noise_m2);
         let spread = inverse * lines.iter().map(noise).sum::<Covariance>() * inverse;

@@ -12,6 +12,8 @@ const BEND_SD: f64 = 7.0;
 /// a curvature known to this share: a sphere of a fifth of its distance has five sixths of the curvature of a point.
 const APART: f64 = 2.5;
 const SURE: f64 = 0.07;
+/// Share by which the curvature of lengths to a hollow surface changes over a window.
+const CHANGE: f64 = 0.3;
 
 /// What part of a surface a point is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +60,21 @@ impl Field {
         }
     }
 
+    /// A place along the direction and across it.
+    fn towards(&self, place: &Point) -> [f64; 3] {
+        let from = place - self.at;
+        [self.direction.dot(&from), self.across[0].dot(&from), self.across[1].dot(&from)]
+    }
+
+    /// Half of what the square of the length grows by, and the root of that square, where lengths count from
+    /// `1 / round`.
+    fn growth(&self, [along, x, y]: [f64; 3]) -> (f64, f64) {
+        let [xx, xy, yy] = [self.bend[(0, 0)], self.bend[(0, 1)], self.bend[(1, 1)]];
+        let bent = xx * x * x + 2.0 * xy * x * y + yy * y * y;
+        let q = along + 0.5 * self.round * along * along + 0.5 * bent;
+        (q, (1.0 + 2.0 * self.round * q).max(0.01).sqrt())
+    }
+
     fn turn(&mut self, first: f64, second: f64) {
         self.direction = (self.direction + self.across[0] * first + self.across[1] * second).normalize();
         let across = (self.across[0] - self.direction * self.direction.dot(&self.across[0])).normalize();
@@ -86,6 +103,17 @@ impl Field {
         bends
     }
 
+    /// Directions in which the surface is hollow, and by how much the nearest point is off along them if the curvature
+    /// of the lengths changes by a share of itself over so many metres about the place. On hollow surfaces the nearest
+    /// point slides several times as far as the wall's point, over parts that are curved otherwise.
+    pub fn slides(&self, lit: Option<&Point>, radius_m: f64) -> [(Vector3<f64>, f64); 2] {
+        let eigen = self.bend.symmetric_eigen();
+        [0, 1].map(|k| {
+            let direction = self.across[0] * eigen.eigenvectors[(0, k)] + self.across[1] * eigen.eigenvectors[(1, k)];
+            (direction, CHANGE * (-eigen.eigenvalues[k]).max(0.0) * self.distance_m(lit) * radius_m)
+        })
+    }
+
     /// What part of the surface it shows.
     pub fn kind(&self, lit: Option<&Point>) -> Kind {
         let [first, second] = self.bends(lit).map(|[bend, sd]| {
@@ -103,22 +131,21 @@ impl Field {
 }
 
 impl Local for Field {
+    const USED: usize = 6;
+
     fn at(&self) -> Point {
         self.at
     }
 
     fn length_m(&self, place: &Point) -> f64 {
-        self.length(place).0
+        let (q, root) = self.growth(self.towards(place));
+        self.length_m + 2.0 * q / (1.0 + root)
     }
 
     fn length(&self, place: &Point) -> (f64, Unknowns) {
-        let u = place - self.at;
-        let along = self.direction.dot(&u);
-        let [x, y] = self.across.map(|across| across.dot(&u));
+        let [along, x, y] = self.towards(place);
+        let (q, root) = self.growth([along, x, y]);
         let [xx, xy, yy] = [self.bend[(0, 0)], self.bend[(0, 1)], self.bend[(1, 1)]];
-        let bent = xx * x * x + 2.0 * xy * x * y + yy * y * y;
-        let q = along + 0.5 * self.round * along * along + 0.5 * bent;
-        let root = (1.0 + 2.0 * self.round * q).max(0.01).sqrt();
         let grow = 1.0 + self.round * along;
         let turns = [x * grow - along * (xx * x + xy * y), y * grow - along * (xy * x + yy * y)];
         let slopes = Unknowns::from([root, turns[0], turns[1], 0.5 * x * x, x * y, 0.5 * y * y, 0.0, 0.0]) / root;
@@ -130,7 +157,8 @@ impl Local for Field {
         field.length_m += step[0];
         field.turn(step[1], step[2]);
         field.bend += Matrix2::new(step[3], step[4], step[4], step[5]);
-        let most = field.bend.symmetric_eigenvalues().max();
+        let [xx, xy, yy] = [(0, 0), (0, 1), (1, 1)].map(|place| field.bend[place]);
+        let most = 0.5 * (xx + yy) + (0.5 * (xx - yy)).hypot(xy);
         field.round = most.clamp(0.0, 1.0 / field.length_m.max(1e-3));
         field
     }

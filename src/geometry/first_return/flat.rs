@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::field::Kind;
-use super::local::{Fitted, Local, Sample, Unknowns};
+use super::local::{Fitted, Local, Sample, UNKNOWNS, Unknowns};
 use super::{Face, SurfacePoint};
 use crate::Point;
 use crate::axes::across;
@@ -98,7 +98,7 @@ impl Flat {
                 let corner = Point::from(a * reach(a) + b * reach(b) + normal * normal.dot(&mean.coords));
                 let widths_m = [a, b].map(|axis| reach(axis) + reach(-axis));
                 let flat = Self::new(at, corner, [a, b, normal], widths_m, zone_m);
-                starts.push((flat.square(samples, members).0, flat));
+                starts.push((flat.square(samples, members), flat));
             }
         }
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -193,6 +193,8 @@ impl Flat {
 }
 
 impl Local for Flat {
+    const USED: usize = UNKNOWNS;
+
     fn at(&self) -> Point {
         self.at
     }

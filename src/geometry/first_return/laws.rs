@@ -28,6 +28,8 @@ const ERROR: [f64; 3] = [0.12, 0.24, 0.36];
 const FACES_ERROR: f64 = 0.05;
 /// The most of the error of the law of flat faces that noise may hide, as [`ERROR`].
 pub const MOST_ERROR: f64 = 0.36;
+/// An edge that lies so far behind the nearest point, in radii of the zone, takes nothing from first light.
+const UNSEEN: f64 = 3.0;
 /// Power of the likelihood by which a sheet and a block are told apart.
 const FACES_TEMPER: f64 = 0.3;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
@@ -140,6 +142,9 @@ pub fn again(
     let mut law_m2 = error_m.powi(2) + own.common_m.powi(2);
     for (k, end) in ends.iter().enumerate() {
         let off_m2 = |other: f64| {
+            if other.max(beyond[k]) < -UNSEEN {
+                return 0.0;
+            }
             let mut moved = beyond;
             moved[k] = other;
             of(flat, moved).map_or(0.0, |moved| (moved.length_m - own.length_m).powi(2))

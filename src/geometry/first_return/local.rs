@@ -1,6 +1,6 @@
 //! What fields of lengths about a place have in common: how they are fitted, and how sure they are.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::Point;
 use crate::axes::across;
@@ -19,6 +19,17 @@ const DONE: f64 = 1e-2;
 const FREQUENCIES: [f64; 2] = [1.355_626_179_974, 2.856_970_013_873];
 const VARIANCES: [f64; 5] =
     [0.533_333_333_333, 0.444_151_844_012, 0.444_151_844_012, 0.022_514_822_656, 0.022_514_822_656];
+/// Waves over the wall, and the variances of their heights.
+pub const WAVES: usize = 25;
+pub const WAVE_VARIANCES: [f64; WAVES] = {
+    let mut variances = [0.0; WAVES];
+    let mut k = 0;
+    while k < WAVES {
+        variances[k] = VARIANCES[k / 5] * VARIANCES[k % 5];
+        k += 1;
+    }
+    variances
+};
 /// Step of differences.
 const STEP: f64 = 1e-6;
 
@@ -62,8 +73,26 @@ impl Fitted {
     }
 }
 
+/// Chi-square of lengths and of what was thought before, the gradient of half of it, downwards, and the lower half of
+/// the information.
+pub struct NormalEquations {
+    pub square: f64,
+    prior: f64,
+    pub information: Covariance,
+    gradient: Unknowns,
+}
+
+impl NormalEquations {
+    fn cost(&self) -> f64 {
+        self.square + self.prior
+    }
+}
+
 /// A field of lengths about a place.
 pub trait Local: Clone + Send + Sync {
+    /// So many unknowns, the first ones, change lengths.
+    const USED: usize;
+
     /// The place.
     fn at(&self) -> Point;
     /// Length at a place.
@@ -85,97 +114,97 @@ pub trait Local: Clone + Send + Sync {
         None
     }
 
-    /// Chi-square of the members, and what the prior adds.
-    fn square(&self, samples: &[Sample], members: &[u32]) -> (f64, f64) {
+    /// Chi-square of the members.
+    fn square(&self, samples: &[Sample], members: &[u32]) -> f64 {
         let of_one = |n: &u32| {
             let sample = &samples[*n as usize];
             ((sample.length_m - self.length_m(&sample.at)) / sample.weighted_m).powi(2)
         };
-        let (off, precision) = self.prior();
-        (members.iter().map(of_one).sum(), off.component_mul(&off).dot(&precision))
+        members.iter().map(of_one).sum()
     }
 
     /// The field of least squares from this start; `None` where the members do not determine it.
     fn fit(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> Option<Self> {
         let mut field = self.clone();
-        let mut now = field.square(samples, members);
+        let mut now = field.normal_equations(samples, members);
         for _ in 0..ROUNDS {
-            let (information, gradient) = field.information(samples, members);
-            let step = information.cholesky()?.solve(&gradient);
+            let step = now.information.cholesky()?.solve(&now.gradient);
             let next = (0..HALVINGS).find_map(|halving| {
                 let next = field.moved(&(step * 0.5_f64.powi(halving as i32)));
-                let then = next.square(samples, members);
-                (then.0 + then.1 < now.0 + now.1).then_some((next, then))
+                let then = next.normal_equations(samples, members);
+                (then.cost() < now.cost()).then_some((next, then))
             });
             let Some((next, then)) = next else { break };
-            let gain = now.0 + now.1 - then.0 - then.1;
+            let gain = now.cost() - then.cost();
             (field, now) = (next, then);
             if gain < DONE {
                 break;
             }
         }
-        if !field.is_possible() || !now.0.is_finite() {
+        if !field.is_possible() || !now.square.is_finite() {
             return None;
         }
-        let inverse = field.information(samples, members).0.cholesky()?.inverse();
+        let inverse = now.information.cholesky()?.inverse();
         let [noise, law] = field.spread(samples, members, zone_m).map(|spread| inverse * spread * inverse);
-        Some(field.with(Fitted { noise, law, square: now.0, count: members.len() }))
+        Some(field.with(Fitted { noise, law, square: now.square, count: members.len() }))
     }
 
-    fn information(&self, samples: &[Sample], members: &[u32]) -> (Covariance, Unknowns) {
-        let (mut information, mut gradient) = (Covariance::zeros(), Unknowns::zeros());
+    fn normal_equations(&self, samples: &[Sample], members: &[u32]) -> NormalEquations {
+        let (off, precision) = self.prior();
+        let mut equations = NormalEquations {
+            square: 0.0,
+            prior: off.component_mul(&off).dot(&precision),
+            information: Covariance::from_diagonal(&precision),
+            gradient: -precision.component_mul(&off),
+        };
         for sample in members.iter().map(|n| &samples[*n as usize]) {
             let (length_m, slopes) = self.length(&sample.at);
             let weight = sample.weighted_m.powi(-2);
-            information += slopes * slopes.transpose() * weight;
-            gradient += slopes * ((sample.length_m - length_m) * weight);
+            let off_m = sample.length_m - length_m;
+            equations.square += off_m * off_m * weight;
+            equations.gradient += slopes * (off_m * weight);
+            add_square::<Self>(&mut equations.information, &slopes, weight);
         }
-        let (off, precision) = self.prior();
-        information += Covariance::from_diagonal(&precision);
-        (information, gradient - precision.component_mul(&off))
+        equations
     }
 
-    /// Errors of the law over the members: a Gaussian random function over the wall, whose correlation falls as a
-    /// Gaussian of `zone_m`, as a sum of waves with random heights; the variance of each height, and its wave.
-    fn waves(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> Vec<(f64, Vec<f64>)> {
-        let across = across(&self.reading(None).1);
-        let of_line = |axis: &Vector3<f64>| -> Vec<[f64; 5]> {
-            let along = |n: &u32| axis.dot(&(samples[*n as usize].at - self.at())) / zone_m;
-            members.iter().map(|n| wave_heights(along(n))).collect()
-        };
-        let lines = across.each_ref().map(of_line);
-        let mut waves = Vec::with_capacity(25);
-        for first in 0..5 {
-            for second in 0..5 {
-                let product = |(x, y): (&[f64; 5], &[f64; 5])| x[first] * y[second];
-                let wave = lines[0].iter().zip(&lines[1]).map(product).collect();
-                waves.push((VARIANCES[first] * VARIANCES[second], wave));
-            }
-        }
-        waves
+    /// Errors of the law at each member: a Gaussian random function over the wall, whose correlation falls as a Gaussian
+    /// of `zone_m`, is a sum of these waves with random heights of variances [`WAVE_VARIANCES`].
+    fn waves<'a>(
+        &self,
+        samples: &'a [Sample],
+        members: &'a [u32],
+        zone_m: f64,
+    ) -> impl Iterator<Item = [f64; WAVES]> + use<'a, Self> {
+        let (at, across) = (self.at(), across(&self.reading(None).1));
+        members.iter().map(move |n| {
+            let from = samples[*n as usize].at - at;
+            let [x, y] = across.each_ref().map(|axis| wave_heights(axis.dot(&from) / zone_m));
+            std::array::from_fn(|k| x[k / 5] * y[k % 5])
+        })
     }
 
     /// Covariance of the gradient under noise and what was thought before, and under errors of the law.
     fn spread(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> [Covariance; 2] {
         let mut noise = Covariance::from_diagonal(&self.prior().1);
-        let mut rows = Vec::with_capacity(members.len());
-        for sample in members.iter().map(|n| &samples[*n as usize]) {
+        let mut sums = [Unknowns::zeros(); WAVES];
+        for (n, waves) in members.iter().zip(self.waves(samples, members, zone_m)) {
+            let sample = &samples[*n as usize];
             let (_, slopes) = self.length(&sample.at);
-            noise += slopes * slopes.transpose() * (sample.sd_m.powi(2) / sample.weighted_m.powi(4));
-            rows.push(slopes * (sample.law_m / sample.weighted_m.powi(2)));
+            let weight = sample.weighted_m.powi(-2);
+            add_square::<Self>(&mut noise, &slopes, (sample.sd_m * weight).powi(2));
+            let row = slopes * (sample.law_m * weight);
+            sums.iter_mut().zip(waves).for_each(|(sum, wave)| *sum += row * wave);
         }
-        let mut law = Covariance::zeros();
-        for (variance, wave) in self.waves(samples, members, zone_m) {
-            let sum: Unknowns = rows.iter().zip(&wave).map(|(row, wave)| row * *wave).sum();
-            law += sum * sum.transpose() * variance;
-        }
+        noise.fill_upper_triangle_with_lower_triangle();
+        let law = sums.iter().zip(WAVE_VARIANCES).map(|(sum, variance)| sum * sum.transpose() * variance).sum();
         [noise, law]
     }
 
-    /// Covariances of both parts of the reading, from that of the unknowns.
-    fn covariances(&self, lit: Option<&Point>, covariance: &Covariance) -> [Matrix3<f64>; 2] {
+    /// Slopes of both parts of the reading by the unknowns.
+    fn reading_slopes(&self, lit: Option<&Point>) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
         let mut slopes = [SMatrix::<f64, 3, UNKNOWNS>::zeros(), SMatrix::<f64, 3, UNKNOWNS>::zeros()];
-        for k in 0..UNKNOWNS {
+        for k in 0..Self::USED {
             let read = |step: f64| {
                 let mut steps = Unknowns::zeros();
                 steps[k] = step;
@@ -185,7 +214,15 @@ pub trait Local: Clone + Send + Sync {
             slopes[0].set_column(k, &((up.0 - down.0) / (2.0 * STEP)));
             slopes[1].set_column(k, &((up.1 - down.1) / (2.0 * STEP)));
         }
-        slopes.map(|slopes| slopes * covariance * slopes.transpose())
+        slopes
+    }
+}
+
+/// Adds the square of slopes, weighted, to the lower half of a matrix.
+fn add_square<F: Local>(matrix: &mut Covariance, slopes: &Unknowns, weight: f64) {
+    for column in 0..F::USED {
+        let weighted = slopes[column] * weight;
+        (column..F::USED).for_each(|row| matrix[(row, column)] += weighted * slopes[row]);
     }
 }
 

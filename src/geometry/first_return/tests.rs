@@ -160,7 +160,8 @@ fn covariances_are_those_of_repeated_noise() {
         let field = Field::new(&samples[14], -Vector3::z()).fit(&samples, &members, 0.1).unwrap();
         let off = field.reading(None).0 - sphere(&places[14]);
         sum += off * off.transpose() / 400.0;
-        stated += field.covariances(None, &field.fitted().noise)[0] / 400.0;
+        let [slopes, _] = field.reading_slopes(None);
+        stated += slopes * field.fitted().noise * slopes.transpose() / 400.0;
     }
     // Variances over 400 draws have a standard deviation of 7 %.
     for k in 0..3 {

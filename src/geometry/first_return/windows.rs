@@ -74,7 +74,7 @@ pub fn fields(
         let zone_m = scan.zone_m(samples[n].length_m * if scan.lit.is_some() { 0.5 } else { 1.0 });
         let start = |members: &[u32]| Field::new(&samples[n], -scan.inwards).fit(samples, members, zone_m);
         let accepts = |_: &Field, _: &[u32]| true;
-        Growth { scan, samples, near: &near[n], zone_m, sizes, start, accepts }.chosen()
+        Growth { scan, samples, all_near: near, place: n, zone_m, sizes, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
@@ -115,7 +115,7 @@ pub fn flats(
             off.sort_by(f64::total_cmp);
             off.get(off.len() / 2).is_none_or(|middle| *middle < MIDDLE)
         };
-        Growth { scan, samples, near: &near[n], zone_m, sizes: &FLAT_SIZES, start, accepts }.chosen()
+        Growth { scan, samples, all_near: near, place: n, zone_m, sizes: &FLAT_SIZES, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
@@ -129,12 +129,13 @@ fn apart(near: &[Vec<u32>], nearest: usize) -> Vec<bool> {
     is_centre
 }
 
-/// Windows about one place, the first of its neighbours, the field that a smallest one starts with, and what else
+/// Windows about one place, with the nearest places of all, the field that a smallest one starts with, and what else
 /// speaks for or against a field of some members.
 struct Growth<'a, S, A> {
     scan: &'a Scan,
     samples: &'a [Sample],
-    near: &'a [u32],
+    all_near: &'a [Vec<u32>],
+    place: usize,
     zone_m: f64,
     sizes: &'a [usize],
     start: S,
@@ -146,14 +147,18 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         &self.samples[n as usize]
     }
 
+    fn near(&self) -> &[u32] {
+        &self.all_near[self.place]
+    }
+
     /// The nearest on a side; side 0 is all around.
     fn nearest(&self, side: usize, size: usize) -> Vec<u32> {
-        let here = self.at(self.near[0]).at;
+        let here = self.at(self.near()[0]).at;
         let [x, y] = across(&self.scan.inwards);
         let angle = (side as f64 - 1.0) * FRAC_PI_4;
         let towards = x * angle.cos() + y * angle.sin();
         let is_there = |n: &u32| side == 0 || towards.dot(&(self.at(*n).at - here)) > -1e-9;
-        self.near.iter().copied().filter(is_there).take(size).collect()
+        self.near().iter().copied().filter(is_there).take(size).collect()
     }
 
     fn begin(&self, side: usize) -> Option<(F, Vec<u32>)> {
@@ -188,28 +193,27 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
             let variance = slopes.dot(&(covariance * slopes)) + sample.sd_m.powi(2) + sample.law_m.powi(2);
             (sample.length_m - length_m).powi(2) < FOLLOWS * variance
         };
-        let (followers, lost): (Vec<u32>, Vec<u32>) = window.iter().partition(|n| follows(n));
-        let next_m2 = NEXT * NEXT * (self.at(self.near[1]).at - self.at(self.near[0]).at).norm_squared();
+        let (mut followers, mut lost): (Vec<u32>, Vec<u32>) = window.iter().partition(|n| follows(n));
+        lost.sort_unstable();
+        let near = self.near();
+        let next_m2 = NEXT * NEXT * (self.at(near[1]).at - self.at(near[0]).at).norm_squared();
         let is_inside = |n: &u32| {
             let is_next = |other: &&u32| (self.at(**other).at - self.at(*n).at).norm_squared() < next_m2;
-            lost.iter().filter(is_next).take(LOST).count() < LOST
+            let next = self.all_near[*n as usize][1..].iter().take_while(is_next);
+            next.filter(|other| lost.binary_search(other).is_ok()).take(LOST).count() < LOST
         };
-        followers.into_iter().filter(is_inside).collect()
+        if lost.len() >= LOST {
+            followers.retain(is_inside);
+        }
+        followers
     }
 
-    /// Whether a larger window says what the smaller ones said.
-    fn agrees(&self, smaller: &[(F, Vec<u32>)], field: &F) -> bool {
+    fn window(&self, field: F, members: Vec<u32>) -> Window<F> {
         let lit = self.scan.lit.as_ref();
-        let (point, _) = field.reading(lit);
-        let [own, _] = field.covariances(lit, &field.fitted().noise);
-        smaller.iter().all(|(other, _)| {
-            let [noise, _] = other.covariances(lit, &other.fitted().noise);
-            let [law, _] = other.covariances(lit, &other.fitted().law);
-            // Windows share places: the smaller one is off the larger one by what it has more of noise.
-            let covariance = noise * 1.1 - own + law * 1.1;
-            let off = point - other.reading(lit).0;
-            covariance.cholesky().is_none_or(|root| off.dot(&root.solve(&off)) < AGREES)
-        })
+        let [slopes, _] = field.reading_slopes(lit);
+        let [noise_m2, law_m2] =
+            [field.fitted().noise, field.fitted().law].map(|part| slopes * part * slopes.transpose());
+        Window { point: field.reading(lit).0, noise_m2, law_m2, field, members }
     }
 
     /// The field, or that of the other kind, that explains more of a larger window.
@@ -228,37 +232,58 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
 
     fn chosen(&self) -> Option<Chosen<F>> {
         let (side, smallest, members) = self.smallest()?;
-        let mut windows = vec![(smallest, members)];
+        let mut windows = vec![self.window(smallest, members)];
         let (mut sizes, mut refused) = (vec![self.sizes[0]], None);
         for size in &self.sizes[1..] {
-            let (last, last_members) = &windows[windows.len() - 1];
+            let last = &windows[windows.len() - 1];
             let mut window = self.nearest(side, *size);
             if window.len() < *size {
                 break;
             }
             window = window.into_iter().step_by(size.div_ceil(FITTED)).collect();
-            let Some((field, members)) = self.grown(last, &window) else { break };
-            if *size <= FITTED && members.len() < last_members.len() + 3 {
+            let Some((field, members)) = self.grown(&last.field, &window) else { break };
+            if *size <= FITTED && members.len() < last.members.len() + 3 {
                 continue;
             }
-            let is_borne_out = self.agrees(&windows, &field) && (self.accepts)(&field, &members);
-            if field.fitted().score() > NO_GROWTH || !is_borne_out {
-                refused = Some(field);
+            let grown = self.window(field, members);
+            let is_borne_out =
+                windows.iter().all(|smaller| grown.agrees(smaller)) && (self.accepts)(&grown.field, &grown.members);
+            if grown.field.fitted().score() > NO_GROWTH || !is_borne_out {
+                refused = Some(grown.field);
                 break;
             }
-            windows.push((field, members));
+            windows.push(grown);
             sizes.push(*size);
         }
         // One window less than would do: its bias is a fraction of its noise.
         let at = windows.len().saturating_sub(1 + usize::from(refused.is_some()));
-        let larger = windows.get(at + 1).map(|(field, _)| field).or(refused.as_ref());
-        let smaller = at.checked_sub(1).map(|smaller| &windows[smaller].0);
+        let larger = windows.get(at + 1).map(|window| &window.field).or(refused.as_ref());
+        let smaller = at.checked_sub(1).map(|smaller| &windows[smaller].field);
         let others = smaller.into_iter().chain(larger).map(|other| (BIAS, other.clone())).collect();
-        let (field, mut members) = windows.swap_remove(at);
+        let Window { field, mut members, .. } = windows.swap_remove(at);
         if sizes[at] > FITTED {
             members = self.followers(&field, &self.nearest(side, sizes[at]));
         }
         Some(Chosen { field, members, lit: self.scan.lit, others })
+    }
+}
+
+/// A field of some members, and the point that it says, with its covariances of noise and of the law.
+struct Window<F> {
+    field: F,
+    members: Vec<u32>,
+    point: Point,
+    noise_m2: Matrix3<f64>,
+    law_m2: Matrix3<f64>,
+}
+
+impl<F> Window<F> {
+    /// Whether it says what a smaller window said.
+    fn agrees(&self, smaller: &Self) -> bool {
+        // Windows share places: the smaller one is off the larger one by what it has more of noise.
+        let covariance = smaller.noise_m2 * 1.1 - self.noise_m2 + smaller.law_m2 * 1.1;
+        let off = self.point - smaller.point;
+        covariance.cholesky().is_none_or(|root| off.dot(&root.solve(&off)) < AGREES)
     }
 }
 
@@ -287,7 +312,9 @@ impl Reading {
 /// What a field alone says.
 fn reading(field: &impl Local, lit: Option<&Point>) -> Reading {
     let (point, away) = field.reading(lit);
-    let [covariance_m2, away_covariance] = field.covariances(lit, &(field.fitted().noise + field.fitted().law));
+    let covariance = field.fitted().noise + field.fitted().law;
+    let [covariance_m2, away_covariance] =
+        field.reading_slopes(lit).map(|slopes| slopes * covariance * slopes.transpose());
     Reading { point, covariance_m2, away, away_covariance }
 }
 
@@ -326,7 +353,7 @@ pub fn shared(flats: &[Option<Chosen<Flat>>], samples: &[Sample], near: &[Vec<u3
         holders.sort_by_key(|holder| std::cmp::Reverse(of(holder).map_or(0, |flat| flat.members.len())));
         let about = &near[n][..SIZES[0].min(near[n].len())];
         let seen = holders.iter().take(SHARED).filter_map(of);
-        let seen: Vec<(f64, &Chosen<Flat>)> = seen.map(|flat| (flat.field.square(samples, about).0, flat)).collect();
+        let seen: Vec<(f64, &Chosen<Flat>)> = seen.map(|flat| (flat.field.square(samples, about), flat)).collect();
         let best = seen.iter().map(|(square, _)| *square).fold(f64::INFINITY, f64::min);
         let good = seen.into_iter().filter(|(square, _)| *square <= best + AS_GOOD);
         let mut good: Vec<(f64, f64, Chosen<Flat>)> = good
