@@ -8,6 +8,7 @@
 use std::fmt;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 
+use anstyle::{AnsiColor, Style};
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -59,9 +60,23 @@ pub fn print_text(text: &str) -> Result<()> {
     print(inert::lines(text).as_bytes())
 }
 
-/// Prints a message to standard error. That it is closed is no reason to stop.
+/// Words that messages begin with, and their colours, which are those of clap.
+const COLOURED: [(&str, Style); 3] = [
+    ("error:", AnsiColor::Red.on_default().bold()),
+    ("warning:", AnsiColor::Yellow.on_default().bold()),
+    ("interrupted:", AnsiColor::Yellow.on_default().bold()),
+];
+
+/// Prints a message to standard error, in colours where these are wanted. That it is closed is no reason to stop.
 pub fn message(text: fmt::Arguments<'_>) {
-    let _ = writeln!(io::stderr().lock(), "{}", inert::lines(&text.to_string()));
+    let text = text.to_string();
+    let text = inert::lines(&text);
+    let mut out = anstream::stderr().lock();
+    let first = COLOURED.iter().find_map(|(word, style)| Some((word, style, text.strip_prefix(word)?)));
+    let _ = match first {
+        Some((word, style, rest)) => writeln!(out, "{style}{word}{style:#}{rest}"),
+        None => writeln!(out, "{text}"),
+    };
 }
 
 /// Prints a line to standard output.

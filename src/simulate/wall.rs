@@ -39,10 +39,12 @@ use serde::Deserialize;
 use super::load_scene::SceneError;
 use crate::campaign::toml_text;
 use crate::parameter::{NonNegative, Positive};
-use crate::units::SPEED_OF_LIGHT_M_PER_PS;
+use crate::units::{path_m, time_ps};
 
 /// Full width at half maximum of a Gaussian, in standard deviations.
 const FWHM: f64 = 2.354_820_045_030_949_3;
+/// Group index.
+const VACUUM: f64 = 1.0;
 /// Facets over the radius of the ring whose light comes one standard deviation of the response after the first, and
 /// the most facets of a surface along one direction.
 const FACETS: f64 = 24.0;
@@ -207,7 +209,7 @@ impl Wall {
 
     /// Side of a facet at a distance.
     fn pitch_m(&self, distance_m: f64, size_m: f64) -> f64 {
-        let zone_m = (SPEED_OF_LIGHT_M_PER_PS * self.sigma_ps() * distance_m.abs()).sqrt();
+        let zone_m = (path_m(self.sigma_ps(), VACUUM) * distance_m.abs()).sqrt();
         (zone_m / FACETS).max(size_m / MOST)
     }
 
@@ -228,9 +230,9 @@ impl Wall {
         let faced = area(&mut met.iter().copied()) / area(&mut facets.iter());
         let steepest_rad = met.iter().map(|facet| (-facet.normal.z).min(1.0).acos()).fold(0.0, f64::max);
         let places = self.places();
-        let time_ps = |place: &Point3<f64>, facet: &Facet| 2.0 * (facet.place - place).norm() / SPEED_OF_LIGHT_M_PER_PS;
+        let arrives_ps = |place: &Point3<f64>, facet: &Facet| time_ps(2.0 * (facet.place - place).norm(), VACUUM);
         let of_place = |place: &Point3<f64>| {
-            let times = facets.iter().map(|facet| time_ps(place, facet));
+            let times = facets.iter().map(|facet| arrives_ps(place, facet));
             times.fold([f64::INFINITY, 0.0_f64], |[least, most], time| [least.min(time), most.max(time)])
         };
         let ends: Vec<[f64; 2]> = places.par_iter().map(of_place).collect();
@@ -244,7 +246,8 @@ impl Wall {
                 let way = place - facet.place;
                 let distance_m = way.norm();
                 let [at_facet, at_wall] = [facet.normal.dot(&way) / distance_m, facet.place.z / distance_m];
-                let part = (time_ps(place, facet) - first_ps) / self.bin_ps.get() * PARTS as f64 + 0.5 * PARTS as f64;
+                let part =
+                    (arrives_ps(place, facet) - first_ps) / self.bin_ps.get() * PARTS as f64 + 0.5 * PARTS as f64;
                 fine[part as usize] += facet.area_m2 * (at_facet.max(0.0) * at_wall).powi(2) / distance_m.powi(4);
             }
             let behind = |bin: usize| {
@@ -379,7 +382,7 @@ mod tests {
             let time = |(n, count): (usize, &f64)| (expected.first_ps + 8.0 * n as f64) * (count - 0.5);
             let light: f64 = counts.iter().map(|count| count - 0.5).sum();
             let centroid_ps = counts.iter().enumerate().map(time).sum::<f64>() / light;
-            let true_ps = 2.0 * (Point3::new(0.1, 0.0, 0.7) - place).norm() / SPEED_OF_LIGHT_M_PER_PS;
+            let true_ps = time_ps(2.0 * (Point3::new(0.1, 0.0, 0.7) - place).norm(), VACUUM);
             assert!((centroid_ps - true_ps).abs() < 1.1, "{centroid_ps} ps, {true_ps} ps");
             // Cosines and the inverse fourth power.
             let ratio = light / expected.histograms[0].1.iter().map(|count| count - 0.5).sum::<f64>();

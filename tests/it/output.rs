@@ -63,6 +63,20 @@ fn formatted(args: &str, format: &str) -> (Option<i32>, String) {
 }
 
 #[test]
+fn errors_have_colours_where_a_terminal_wants_them() {
+    let _held = WRITES.lock().unwrap_or_else(PoisonError::into_inner);
+    let error = |variables: &[(&str, &str)]| {
+        let mut command = command(&LAB, &["tables", "nowhere"]);
+        command.env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE").envs(variables.iter().copied());
+        String::from_utf8(command.output().unwrap().stderr).unwrap()
+    };
+    let (plain, coloured) = (error(&[]), error(&[("CLICOLOR_FORCE", "1")]));
+    assert!(plain.starts_with("error: "), "{plain}");
+    assert!(coloured.starts_with("\u{1b}[") && coloured.contains("error:\u{1b}[0m "), "{coloured:?}");
+    assert_eq!(error(&[("NO_COLOR", "1")]), plain);
+}
+
+#[test]
 fn every_command_that_prints_rows_prints_json_and_csv() {
     let _held = WRITES.lock().unwrap_or_else(PoisonError::into_inner);
     for (args, is_array, columns) in COMMANDS {

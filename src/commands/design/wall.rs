@@ -5,12 +5,13 @@
 
 use std::fmt::Write as _;
 
-use anyhow::{Result, bail};
-use nalgebra::Vector3;
+use anyhow::{Context, Result, bail};
 use periscope::cancel::Cancel;
-use periscope::geometry::first_return::{Kind, SurfacePoint};
+use periscope::geometry::Point;
+use periscope::geometry::first_return::{Kind, SurfacePoint, wall_normal};
 use periscope::geometry::height_field::height_fields;
 use periscope::geometry::shapes::Sighting;
+use periscope::parameter::Positive;
 use periscope::priors::campaign_fields::Medium;
 use periscope::signal::edge::{Bins, Noise, Rises};
 use periscope::simulate::wall::{Surface, Wall, WallScene};
@@ -70,11 +71,8 @@ pub fn design(scene: &WallScene, threshold_sigma: f64, output: &Output) -> Resul
     if scene.surfaces.is_empty() {
         bail!("there is no surface that the wall could show; describe one under [surfaces.NAME]");
     }
-    let outlooks: Vec<WallOutlook> = scene
-        .surfaces
-        .iter()
-        .map(|(name, surface)| WallOutlook::new(&scene.wall, (name, surface), threshold_sigma))
-        .collect();
+    let outlook = |one: (&String, &Surface)| WallOutlook::new(&scene.wall, one, threshold_sigma);
+    let outlooks = scene.surfaces.iter().map(outlook).collect::<Result<Vec<_>>>()?;
     match output.format {
         Format::Table => print_text(&text(&scene.wall, &outlooks)?)?,
         Format::Json => print(json(&outlooks)?)?,
@@ -84,7 +82,7 @@ pub fn design(scene: &WallScene, threshold_sigma: f64, output: &Output) -> Resul
 }
 
 impl WallOutlook {
-    fn new(wall: &Wall, (name, surface): (&str, &Surface), threshold_sigma: f64) -> Self {
+    fn new(wall: &Wall, (name, surface): (&String, &Surface), threshold_sigma: f64) -> Result<Self> {
         let expected = wall.expected(surface);
         let (first_ps, dt_ps) = (expected.first_ps, wall.bin_ps.get());
         let bins: Vec<_> = expected
@@ -94,7 +92,9 @@ impl WallOutlook {
             .collect();
         let rises = rises(wall);
         let medium = Medium { group_index: 1.0 };
-        let timing = Timing { lit: None, inwards: Vector3::z(), medium, rises: &rises, threshold_sigma };
+        let hidden_side = Point::new(0.0, 0.0, 1.0);
+        let inwards = wall_normal(&wall.places(), &hidden_side).context("the points of the wall span a plane")?;
+        let timing = Timing { lit: None, inwards, medium, rises: &rises, threshold_sigma };
         let cancel = Cancel::default();
         let points = timing.points(&bins, &cancel);
         let sighting = |(n, point): &(usize, SurfacePoint)| Sighting {
@@ -113,8 +113,8 @@ impl WallOutlook {
         let count = |kind: Kind| all().filter(|point| point.kind == kind).count();
         let along = |point: &SurfacePoint| point.normal.dot(&(point.covariance_m2 * point.normal)).sqrt();
         let turn = |point: &SurfacePoint| (0.5 * point.normal_covariance.trace()).sqrt().to_degrees();
-        Self {
-            surface: name.to_owned(),
+        Ok(Self {
+            surface: name.clone(),
             histograms: bins.len(),
             points: points.len(),
             smooth: count(Kind::Smooth),
@@ -128,7 +128,7 @@ impl WallOutlook {
             mesh_sd_m: median(nodes),
             faced: expected.faced,
             steepest_deg: expected.steepest_rad.to_degrees(),
-        }
+        })
     }
 }
 
@@ -149,7 +149,7 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 
 fn text(wall: &Wall, outlooks: &[WallOutlook]) -> Result<String, std::fmt::Error> {
     let mut text = String::new();
-    let ([width_m, height_m], [columns, rows]) = (wall.size_m.map(|size_m| size_m.get()), wall.points);
+    let ([width_m, height_m], [columns, rows]) = (wall.size_m.map(Positive::get), wall.points);
     writeln!(
         text,
         "A wall of {width_m} x {height_m} m, {columns} x {rows} points, each lit and seen itself; {} photons of the surface in a mean histogram, {} counts of a bin besides; bins of {} ps, a response of {} ps\n",
