@@ -2,7 +2,8 @@
 
 Reading: `read`. Shots to a profile: `average`, `estimate_noise`, `estimate_response`, `correct_pile_up`. Pulses:
 `deconvolve`, `deconvolve_counts`. Geometry: `t2_distances`, `t3_ranges`, `complete_distances`, `classical_scaling`,
-`iso_embed`, `smacof`, `solve_positions`. Campaigns: `run`, `simulate`, `Results`. Exceptions: `periscope.errors`.
+`iso_embed`, `smacof`, `solve_positions`. Campaigns: `write_campaign`, `simulate`, `run`, `Results`. Exceptions:
+`periscope.errors`.
 
 Times are picoseconds, lengths metres; names carry the unit. Sample n of a record lies at ``t0_ps + n * dt_ps``.
 """
@@ -49,6 +50,7 @@ from .errors import (
     RunError,
     UndeterminedError,
 )
+from .recordings import write_campaign
 
 __all__ = [
     "CampaignError",
@@ -90,4 +92,5 @@ __all__ = [
     "solve_positions",
     "t2_distances",
     "t3_ranges",
+    "write_campaign",
 ]
