@@ -243,6 +243,8 @@ fn style(template: &str) -> ProgressStyle {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
 
     #[test]
@@ -252,5 +254,20 @@ mod tests {
         assert_eq!(line(bytes, 500_000_000, elapsed), "500.0 MB of 3.00 GB, 125.0 MB/s, 20 s left");
         assert_eq!(line(Amount::Rows(900), 300, elapsed), "300 rows of 900 rows, 75 rows/s, 8 s left");
         assert_eq!(line(Amount::Rows(900), 0, elapsed), "0 rows of 900 rows, 0 rows/s");
+    }
+
+    #[test]
+    fn a_listener_gets_each_pass_with_its_end() {
+        let events = Arc::new(Mutex::new(Vec::new()));
+        let heard = Arc::clone(&events);
+        let progress = Progress::to(move |event| heard.lock().unwrap().push(event.clone()));
+        progress.pass(&["profiles"], Amount::Rows(10), 1, 2);
+        progress.advance(10);
+        progress.finish();
+        let events = events.lock().unwrap();
+        assert_eq!(events[0]["event"], "pass");
+        assert_eq!((&events[0]["tables"], &events[0]["of"]), (&json!(["profiles"]), &json!(10)));
+        let last = events.last().unwrap();
+        assert_eq!((&last["event"], &last["read"]), (&json!("done"), &json!(10)));
     }
 }
