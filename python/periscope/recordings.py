@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, Literal, Union, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ._periscope import load_campaign
 from .errors import CampaignError
 
 __all__ = ["write_campaign"]
@@ -67,7 +69,7 @@ def write_campaign(
     Parameters
     ----------
     folder : str or os.PathLike
-        Folder for the campaign; must be empty or absent. Its name is the campaign's.
+        Folder for the campaign; must be empty or absent. Its name becomes the campaign's.
     scene : array_like, shape (lit, seen, shots, samples) or (lit, seen, samples), or mapping
         Shots, mean profiles or photon counts: in V, or as codes of the converter. A pair whose samples are all NaN was
         not captured. A mapping holds an array (shots, samples) or (samples,) for each pair (lit, seen) of patches:
@@ -113,7 +115,8 @@ def write_campaign(
     Raises
     ------
     CampaignError
-        If the folder is in use.
+        If the folder is in use, or a value is none that campaign.toml may have. In the second case the files stay: mend
+        campaign.toml, or remove the folder.
     ValueError
         If the arrays contradict one another, or a value is not finite.
 
@@ -151,6 +154,7 @@ def write_campaign(
         _write(root, f"{role}.csv", recordings)
     text = _toml(_merged(document, settings or {}))
     root.joinpath("campaign.toml").write_text(text, encoding="utf-8")  # last: a folder without it is no campaign
+    load_campaign(root)
     return root
 
 
@@ -301,7 +305,8 @@ def _document(
         stations[SENSOR] = {"position_m": _place("sensor_m", sensor_m)}
         sensor["station"] = SENSOR
     return {
-        "campaign": {"name": root.resolve().name},
+        # A name has letters, digits and hyphens, and begins with one of the first two.
+        "campaign": {"name": re.sub("[^A-Za-z0-9]+", "-", root.resolve().name).strip("-")[:80] or "campaign"},
         "stations": stations,
         "sensors": {SENSOR: sensor},
         "patches": {str(patch): {"position_m": place} for patch, place in positions_m.items()},

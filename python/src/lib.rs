@@ -62,7 +62,7 @@ mod _periscope {
     #[pymodule_export]
     use crate::results::{Results, Table};
     #[pymodule_export]
-    use crate::runs::{run, simulate};
+    use crate::runs::{load_campaign, run, simulate};
     #[pymodule_export]
     use crate::surfaces::{FirstReturns, HeightField, Shape, SurfacePoints, first_returns, surface_points};
     #[pymodule_export]

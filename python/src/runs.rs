@@ -135,6 +135,21 @@ impl Job {
     }
 }
 
+/// Reads campaign.toml and its tables; `periscope.write_campaign` calls it on what it wrote.
+///
+/// Parameters
+/// ----------
+/// campaign : path
+///
+/// Returns
+/// -------
+/// str
+///     Name of the campaign.
+#[pyfunction]
+pub fn load_campaign(campaign: PathBuf) -> PyResult<String> {
+    Campaign::load(&campaign).map(|campaign| campaign.name).map_err(of_campaign)
+}
+
 /// Simulates the campaign of a scene: scope files, campaign.toml, and the truth as tables.
 ///
 /// Parameters

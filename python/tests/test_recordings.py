@@ -143,14 +143,14 @@ def test_what_is_written_stands_in_campaign_toml(tmp_path: Path) -> None:
         positions_m=POINTS_M[:2],
         averaged_shots=100,
         settings={
-            "campaign": {"name": 'ä"b'},
+            "campaign": {"group_index": 1.5},
             "hidden": {"count": 1},
             "patches": {2: {"normal": np.array([0.0, 0.0, 1.0])}, 3: {"role": "hidden"}},
-            "exclude": [{"match": {"lit": 7}, "reason": "door"}],
+            "exclude": [{"match": {"lit": 7}, "reason": 'a "door", ä'}],
         },
     )
     assert tomllib.loads((written / "campaign.toml").read_text()) == {
-        "campaign": {"name": 'ä"b'},
+        "campaign": {"name": "a-b", "group_index": 1.5},
         "stations": {"laser": {"position_m": [0.0, 0.0, 1.0]}, "s1": {"position_m": [0.1, 0.0, 1.0]}},
         "sensors": {"s1": {"station": "s1"}},
         "patches": {
@@ -162,7 +162,7 @@ def test_what_is_written_stands_in_campaign_toml(tmp_path: Path) -> None:
             {"role": "scene", "table": "scene.csv", "dt_ps": 50.0, "gain_v": 1, "offset_v": 0, "averaged_shots": 100}
         ],
         "hidden": {"count": 1},
-        "exclude": [{"match": {"lit": 7}, "reason": "door"}],
+        "exclude": [{"match": {"lit": 7}, "reason": 'a "door", ä'}],
     }
     saved = np.load(written / "raw/scene/L1_P2.npy")
     assert saved.dtype == np.int16 and saved.shape == (3, 8)
@@ -207,3 +207,10 @@ def test_a_folder_in_use_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(periscope.CampaignError, match="not empty; choose another folder"):
         periscope.write_campaign(tmp_path, SHOTS, dt_ps=50.0)
     assert [file.name for file in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_what_campaign_toml_may_not_say_is_an_error_at_once(tmp_path: Path) -> None:
+    with pytest.raises(periscope.CampaignError, match="path_m must be above 0"):
+        periscope.write_campaign(tmp_path / "a", SHOTS, dt_ps=50.0, response=SHOTS[0, 0], response_path_m=0.0)
+    with pytest.raises(periscope.CampaignError, match="no_such_key"):
+        periscope.write_campaign(tmp_path / "b", SHOTS, dt_ps=50.0, settings={"hidden": {"no_such_key": 1}})
