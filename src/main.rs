@@ -77,7 +77,7 @@ enum Command {
     /// Write results for other programs: patches as a point cloud, profiles as a capture of y-tal
     Export(commands::export::Export),
     /// Before capturing: what a scene will show and how well, how long it takes, and what a change would bring
-    Design(commands::design::Design),
+    Design(commands::design::Arguments),
     /// Show the columns of the tables, with units and meanings
     Schema(commands::schema::Schema),
     /// Print shell completions

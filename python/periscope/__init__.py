@@ -1,8 +1,10 @@
 """Periscope: time-of-flight waveforms from scope files to coordinates with error bars.
 
 Reading: `read`. Shots to a profile: `average`, `estimate_noise`, `estimate_response`, `correct_pile_up`. Pulses:
-`deconvolve`, `deconvolve_counts`. Geometry: `t2_distances`, `t3_ranges`, `complete_distances`, `classical_scaling`,
-`iso_embed`, `smacof`, `solve_positions`. Campaigns: `run`, `simulate`, `Results`. Exceptions: `periscope.errors`.
+`deconvolve`, `deconvolve_counts`; `leading_edge`, `constant_fraction`, `threshold_crossing`. Geometry: `t2_distances`,
+`t3_ranges`, `complete_distances`, `classical_scaling`, `iso_embed`, `smacof`, `solve_positions`. Around the corner:
+`find_hidden`, `matched_filter`, `search_hidden`, `first_returns`, `surface_points`. Plans: `design`, `bounds`.
+Campaigns: `write_campaign`, `simulate`, `run`, `Results`. Exceptions: `periscope.errors`.
 
 Times are picoseconds, lengths metres; names carry the unit. Sample n of a record lies at ``t0_ps + n * dt_ps``.
 """
@@ -10,36 +12,53 @@ Times are picoseconds, lengths metres; names carry the unit. Sample n of a recor
 from . import errors
 from ._periscope import (
     VERSION as __version__,
+    Bounds,
     Distances,
+    FirstReturns,
+    HeightField,
+    HiddenPatch,
     Mean,
     Noise,
+    Onsets,
     Positions,
+    PulseBound,
     Pulses,
     Ranges,
     Response,
     ResponseEstimate,
+    Shape,
+    SurfacePoints,
     Table,
     Waveform,
     Waveforms,
     autoregressive_acf,
     average,
+    bounds,
     classical_scaling,
     complete_distances,
+    constant_fraction,
     correct_pile_up,
     deconvolve,
     deconvolve_counts,
     estimate_noise,
     estimate_response,
+    find_hidden,
+    first_returns,
     iso_embed,
+    leading_edge,
+    matched_filter,
     quietest,
     read,
+    search_hidden,
     simulate,
     smacof,
     solve_positions,
+    surface_points,
     t2_distances,
     t3_ranges,
+    threshold_crossing,
 )
-from .campaigns import Results, run
+from .campaigns import Results, design, run
 from .errors import (
     CampaignError,
     FormatError,
@@ -49,16 +68,23 @@ from .errors import (
     RunError,
     UndeterminedError,
 )
+from .recordings import write_campaign
 
 __all__ = [
+    "Bounds",
     "CampaignError",
     "Distances",
+    "FirstReturns",
     "FormatError",
+    "HeightField",
+    "HiddenPatch",
     "Mean",
     "Noise",
+    "Onsets",
     "PeriscopeError",
     "PipelineError",
     "Positions",
+    "PulseBound",
     "Pulses",
     "Ranges",
     "Response",
@@ -66,6 +92,8 @@ __all__ = [
     "Results",
     "ResultsError",
     "RunError",
+    "Shape",
+    "SurfacePoints",
     "Table",
     "UndeterminedError",
     "Waveform",
@@ -73,21 +101,32 @@ __all__ = [
     "__version__",
     "autoregressive_acf",
     "average",
+    "bounds",
     "classical_scaling",
     "complete_distances",
+    "constant_fraction",
     "correct_pile_up",
     "deconvolve",
     "deconvolve_counts",
+    "design",
     "errors",
     "estimate_noise",
     "estimate_response",
+    "find_hidden",
+    "first_returns",
     "iso_embed",
+    "leading_edge",
+    "matched_filter",
     "quietest",
     "read",
     "run",
+    "search_hidden",
     "simulate",
     "smacof",
     "solve_positions",
+    "surface_points",
     "t2_distances",
     "t3_ranges",
+    "threshold_crossing",
+    "write_campaign",
 ]

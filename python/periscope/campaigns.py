@@ -10,11 +10,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Union
 
-from ._periscope import Results as Folder, Table, run as run_pipeline
+from . import labelled, plots
+from ._periscope import Results as Folder, Table, design_json, run as run_pipeline
+from .progress import Bar, is_watched
 
-__all__ = ["Results", "run"]
+__all__ = ["Results", "design", "run"]
 
 StrPath = Union[str, "os.PathLike[str]"]
+
+REASONS = 6
+"""Reasons of a verdict that a notebook shows at most."""
 
 
 class Results(Folder):
@@ -115,12 +120,55 @@ class Results(Folder):
         return f"<Results in {self.path}: {', '.join(self.tables)}>"
 
     def _repr_html_(self) -> str:
-        """The tables, and the picture of the scene, for notebooks."""
+        """The verdict, the picture of the scene, and the tables, for notebooks."""
+        word, reasons = self.verdict
+        listed = "".join(f"<li>{html.escape(reason)}</li>" for reason in reasons[:REASONS])
         row = "<tr><td>{}</td><td>{}</td></tr>".format
         rows = "".join(row(html.escape(name), len(self[name])) for name in self)
-        picture = dict(self.figures()).get("scene", "")
-        head = f"<p>Results in {html.escape(str(self.path))}</p>"
-        return f"{head}<table><tr><th>table</th><th>rows</th></tr>{rows}</table>{picture}"
+        return (
+            f"<p>Results in {html.escape(str(self.path))}: <strong>{html.escape(word)}</strong></p><ul>{listed}</ul>"
+            f"{dict(self.figures()).get('scene', '')}"
+            f"<details><summary>{len(self)} tables</summary>"
+            f"<table><tr><th>table</th><th>rows</th></tr>{rows}</table></details>"
+        )
+
+    def to_xarray(self, sensor: str | None = None) -> Any:
+        """The profiles of the scene as a labelled array. Needs xarray.
+
+        Parameters
+        ----------
+        sensor : str, optional
+            Sensor; needed where there are several.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``mean_v``, ``se_v`` and, of photon counters, ``counts`` over (lit, seen, time), NaN where there are none;
+            ``shots`` and ``noise_v`` over (lit, seen). The coordinate ``time_ps`` is after the reference pulse, else
+            the trigger; it has the axes (lit, seen, time) where profiles are not on one grid.
+
+        Raises
+        ------
+        ImportError
+            Without xarray.
+        ValueError
+            If several profiles belong to one pair of patches.
+        """
+        return labelled.dataset(self["profiles"], sensor)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draws the patches in space, and points of hidden surfaces. Needs matplotlib.
+
+        Parameters
+        ----------
+        ax : mpl_toolkits.mplot3d.Axes3D, optional
+            Where to; by default a new figure.
+
+        Returns
+        -------
+        mpl_toolkits.mplot3d.Axes3D
+        """
+        return plots.results(self, ax)
 
 
 def run(
@@ -130,7 +178,7 @@ def run(
     set: Mapping[str, object] | None = None,
     *,
     until: str | None = None,
-    progress: Literal["auto", "bar", "lines", "none"] = "auto",
+    progress: Literal["auto", "tqdm", "bar", "lines", "none"] = "auto",
 ) -> Results:
     """Runs a pipeline over campaigns. What is already computed is reused; Ctrl-C keeps what is finished.
 
@@ -149,8 +197,9 @@ def run(
         Parameters of the pipeline, such as ``{"onsets.threshold_sigma": 6}``.
     until : str, optional
         Stop after this table.
-    progress : {"auto", "bar", "lines", "none"}
-        How progress is shown on standard error: "auto" is a bar on a terminal, lines elsewhere.
+    progress : {"auto", "tqdm", "bar", "lines", "none"}
+        How progress is shown: "auto" is a bar of tqdm in notebooks and on terminals, if tqdm is installed, else the
+        program's own "bar" on a terminal, and "lines" on standard error elsewhere.
 
     Returns
     -------
@@ -174,7 +223,12 @@ def run(
         out = _next_to(Path(campaigns[0]))
     # Scalars and lists have the same text in JSON as in TOML.
     settings = [f"{name}={json.dumps(value)}" for name, value in (set or {}).items()]
-    rejects, left_out = run_pipeline(campaigns, out, pipeline, settings, until, progress)
+    bar = Bar() if progress == "tqdm" or (progress == "auto" and is_watched()) else None
+    try:
+        rejects, left_out = run_pipeline(campaigns, out, pipeline, settings, until, progress, bar)
+    finally:
+        if bar is not None:
+            bar.close()
     for cause in left_out:
         warnings.warn(cause, stacklevel=2)
     if rejects:
@@ -186,3 +240,33 @@ def _next_to(campaign: Path) -> Path:
     """The folder next to a campaign for its results."""
     place = campaign if campaign.name not in ("", "..") else campaign.resolve()
     return place.with_name(f"{place.name}-results")
+
+
+def design(scene: StrPath, *, bounces: int | None = None, threshold_sigma: float = 5.0) -> dict[str, Any]:
+    """What a planned measurement can show, by the Cramer-Rao bound of its scene.
+
+    Parameters
+    ----------
+    scene : str or os.PathLike
+        Scene description (TOML), as for `simulate`.
+    bounces : int, optional
+        Highest order of bounces that the geometry uses, 1 to 5; by default 2, or 3 where the scene has hidden patches.
+    threshold_sigma : float
+        Signal-to-noise ratio from which a pulse counts as an onset.
+
+    Returns
+    -------
+    dict
+        What `periscope design --format json` prints: precision and chance of each patch, bounces by their strength,
+        pulses that blend, what the data leave open, and what changes would bring.
+
+    Raises
+    ------
+    CampaignError
+        If the scene contradicts itself.
+
+    See Also
+    --------
+    bounds : the bound itself, as arrays.
+    """
+    return json.loads(design_json(scene, bounces, threshold_sigma))

@@ -1,6 +1,6 @@
 //! Arrays that come in and go out.
 
-use numpy::{AllowTypeChange, Element, PyArray1, PyArray2, PyArrayLike1, PyArrayLike2, PyArrayMethods};
+use numpy::{AllowTypeChange, Element, PyArray1, PyArray2, PyArray3, PyArrayLike1, PyArrayLike2, PyArrayMethods};
 use periscope::geometry::{Matrix, Point};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -96,6 +96,11 @@ pub fn points(name: &str, rows: &Rows<'_>) -> PyResult<Vec<Point>> {
     Ok((0..array.dim().0).map(|row| Point::new(array[[row, 0]], array[[row, 1]], z(row))).collect())
 }
 
+/// One place.
+pub fn place(name: &str, [x, y, z]: [f64; 3]) -> PyResult<Point> {
+    Ok(Point::new(number(name, x)?, number(name, y)?, number(name, z)?))
+}
+
 /// 2 or 3.
 pub fn dimensions(count: usize) -> PyResult<usize> {
     require(count == 2 || count == 3, || format!("dimensions is {count}; space has 2 or 3"))?;
@@ -122,4 +127,10 @@ pub fn rows_of_matrix(py: Python<'_>, values: &Matrix) -> PyResult<Py<PyArray2<f
     let (height, width) = (values.nrows(), values.ncols());
     let rows = (0..height).flat_map(|i| (0..width).map(move |j| values[(i, j)])).collect();
     matrix(py, rows, height, width)
+}
+
+/// Matrices of three rows and columns, one after another; those of covariances, whose order does not matter.
+pub fn blocks(py: Python<'_>, values: Vec<f64>) -> PyResult<Py<PyArray3<f64>>> {
+    let count = values.len() / 9;
+    Ok(PyArray1::from_vec(py, values).reshape([count, 3, 3])?.unbind())
 }

@@ -16,6 +16,10 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 /// Time between two looks at the interpreter's signals.
 const LOOK: Duration = Duration::from_millis(50);
 
+/// Most samples whose pulses are fitted briefly, and most that are looked at once.
+pub const FEW: usize = 4096;
+pub const ONCE: usize = 1 << 20;
+
 /// The threads of kernels, with the process that they belong to: a forked process has none of them.
 static POOL: Mutex<Option<(u32, Arc<ThreadPool>)>> = Mutex::new(None);
 
@@ -51,6 +55,16 @@ pub fn interruptible<T: Send>(py: Python<'_>, compute: impl FnOnce(&Cancel) -> T
         });
         (computed.expect("the scope ends when the kernel has"), interruption)
     })
+}
+
+/// The same for kernels that start no threads of their own. One that is brief, some tens of milliseconds at most, runs
+/// in the caller's thread: to hand it over costs more than many take, and Ctrl-C waits for its end.
+pub fn interruptible_unless<T: Send>(
+    is_brief: bool,
+    py: Python<'_>,
+    compute: impl FnOnce(&Cancel) -> T + Send,
+) -> PyResult<T> {
+    if is_brief { Ok(py.detach(|| compute(&Cancel::never()))) } else { interruptible(py, compute) }
 }
 
 /// The same for runs of pipelines, which must not start in a pool: they wait for its workers.

@@ -8,23 +8,32 @@
 //! | `pulses` | [`periscope::signal::sparse`] |
 //! | `distances` | [`periscope::geometry`]: lengths to distances to a first embedding |
 //! | `positions` | [`periscope::geometry::maximum_likelihood`] |
+//! | `onsets` | [`periscope::signal::onset`]: classical timing |
+//! | `hidden` | [`periscope::geometry::hidden`], [`periscope::geometry::faint`] |
+//! | `surfaces` | [`periscope::signal::edge`], [`periscope::geometry::first_return`], shapes and height fields |
+//! | `designs` | [`periscope::bound`] |
 //! | `runs` | [`periscope::pipeline`], [`periscope::simulate`] |
 //! | `results` | [`periscope::store`], [`periscope::history`], [`periscope::report`] |
-//! | `arrays`, `failure`, `interrupt` | arguments, exceptions, Ctrl-C |
+//! | `arrays`, `failure`, `interrupt`, `plots` | arguments, exceptions, Ctrl-C, pictures |
 
 // An owned array, reference or interpreter token is how PyO3 passes each argument.
 #![allow(clippy::needless_pass_by_value)]
 #![allow(clippy::too_many_arguments, reason = "keywords of Python functions")]
 
 mod arrays;
+mod designs;
 mod distances;
 mod failure;
+mod hidden;
 mod interrupt;
+mod onsets;
+mod plots;
 mod positions;
 mod profiles;
 mod pulses;
 mod results;
 mod runs;
+mod surfaces;
 mod waveforms;
 
 use pyo3::prelude::*;
@@ -32,9 +41,15 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _periscope {
     #[pymodule_export]
+    use crate::designs::{Bounds, PulseBound, bounds, design_json};
+    #[pymodule_export]
     use crate::distances::{
         Distances, Ranges, classical_scaling, complete_distances, iso_embed, smacof, t2_distances, t3_ranges,
     };
+    #[pymodule_export]
+    use crate::hidden::{HiddenPatch, find_hidden, matched_filter, search_hidden};
+    #[pymodule_export]
+    use crate::onsets::{Onsets, constant_fraction, leading_edge, threshold_crossing};
     #[pymodule_export]
     use crate::positions::{Positions, solve_positions};
     #[pymodule_export]
@@ -47,7 +62,9 @@ mod _periscope {
     #[pymodule_export]
     use crate::results::{Results, Table};
     #[pymodule_export]
-    use crate::runs::{run, simulate};
+    use crate::runs::{load_campaign, run, simulate};
+    #[pymodule_export]
+    use crate::surfaces::{FirstReturns, HeightField, Shape, SurfacePoints, first_returns, surface_points};
     #[pymodule_export]
     use crate::waveforms::{Waveform, Waveforms, read};
 

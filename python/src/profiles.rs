@@ -12,7 +12,8 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Each, Integers, Rows, Vector, finite, number, positive, require, vector};
 use crate::failure::of_signal;
-use crate::interrupt::interruptible;
+use crate::interrupt::{ONCE, interruptible, interruptible_unless};
+use crate::plots::plot;
 
 /// Samples of a response beyond which its step is a mistake.
 const MOST_SAMPLES: f64 = 1e6;
@@ -24,10 +25,30 @@ pub struct Mean {
     values: Py<PyArray1<f64>>,
     /// Time of its first sample, ps.
     t0_ps: f64,
+    /// Time between samples, ps; None where `average` was not given it.
+    dt_ps: Option<f64>,
     /// Shots that went into it.
     shots: u64,
     /// Shots at each of the 64 sub-sample positions of `dt_ps / 64`; shape (64,). `Response.averaged` takes it.
     phase_shots: Py<PyArray1<i32>>,
+}
+
+#[pymethods]
+impl Mean {
+    /// Draws the mean over time. Needs matplotlib.
+    ///
+    /// Parameters
+    /// ----------
+    /// ax : matplotlib.axes.Axes, optional
+    ///     Where to; by default a new figure.
+    ///
+    /// Returns
+    /// -------
+    /// matplotlib.axes.Axes
+    #[pyo3(signature = (ax=None))]
+    fn plot<'py>(slf: &Bound<'py, Self>, ax: Option<Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        plot(slf, "mean", ax)
+    }
 }
 
 /// Averages shots, moved onto one time grid.
@@ -73,8 +94,9 @@ pub fn average(
     let starts_ps = t0_ps.map(|starts| finite("t0_ps", &starts)).transpose()?.unwrap_or_else(|| vec![0.0; count]);
     require(starts_ps.len() == count, || format!("t0_ps has {} values for {count} shots", starts_ps.len()))?;
     let is_aligned = starts_ps.iter().all(|start_ps| *start_ps == starts_ps[0]);
-    let dt_ps = match dt_ps {
-        Some(dt_ps) => positive("dt_ps", dt_ps)?,
+    let given_ps = dt_ps.map(|dt_ps| positive("dt_ps", dt_ps)).transpose()?;
+    let dt_ps = match given_ps {
+        Some(dt_ps) => dt_ps,
         None if is_aligned => 1.0,
         None => return Err(PyValueError::new_err("t0_ps differs between shots; give dt_ps too")),
     };
@@ -85,7 +107,7 @@ pub fn average(
     let rows = || bytes.chunks_exact(samples * code_type.bytes());
     let codes = |row| Codes::of(code_type.name(), row).expect("the crates name types alike");
     require(rows().all(|row| codes(row).is_finite()), || "shots has values that are not finite".to_owned())?;
-    let sums = interruptible(py, |cancel| {
+    let sums = interruptible_unless(count * samples <= ONCE, py, |cancel| {
         let mut sums = PhaseSums::new(samples);
         for (row, start_ps) in rows().zip(&starts_ps) {
             cancel.check();
@@ -98,6 +120,7 @@ pub fn average(
     Ok(Mean {
         values: vector(py, mean.mean),
         t0_ps: starts_ps[0] + mean.first_position as f64 * dt_ps,
+        dt_ps: given_ps,
         shots: sums.shots(),
         phase_shots: vector(py, phase_shots),
     })

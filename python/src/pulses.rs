@@ -6,7 +6,8 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::arrays::{Each, Integers, Vector, finite, matrix, number, positive, require, vector};
-use crate::interrupt::interruptible;
+use crate::interrupt::{FEW, interruptible_unless};
+use crate::plots::plot;
 use crate::profiles::{Response, unpiled};
 
 /// Pulses of a profile, by rising time.
@@ -64,6 +65,21 @@ impl Pulses {
 
 #[pymethods]
 impl Pulses {
+    /// Draws each pulse as a line of its amplitude, with standard deviations. Needs matplotlib.
+    ///
+    /// Parameters
+    /// ----------
+    /// ax : matplotlib.axes.Axes, optional
+    ///     Where to; by default a new figure.
+    ///
+    /// Returns
+    /// -------
+    /// matplotlib.axes.Axes
+    #[pyo3(signature = (ax=None))]
+    fn plot<'py>(slf: &Bound<'py, Self>, ax: Option<Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        plot(slf, "pulses", ax)
+    }
+
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
         self.time_ps.bind(py).len()
     }
@@ -163,7 +179,7 @@ pub fn deconvolve(
     let (t0_ps, dt_ps) = (number("t0_ps", t0_ps)?, positive("dt_ps", dt_ps)?);
     let options = options(baseline, evidence_min, pulses_max, signed, extent_max_ps)?;
     let response = &response.get().0;
-    let fit = interruptible(py, |cancel| {
+    let fit = interruptible_unless(mean.len() <= FEW, py, |cancel| {
         let profile = Profile { mean_v: &mean, sd_v: &sd, acf: &acf, slow_v2: &[], t0_ps, dt_ps };
         sparse::fit(&profile, response, &SparseOptions { cancel: cancel.clone(), ..options })
     })?;
@@ -228,7 +244,7 @@ pub fn deconvolve_counts(
     let (t0_ps, dt_ps) = (number("t0_ps", t0_ps)?, positive("dt_ps", dt_ps)?);
     let options = options(baseline, evidence_min, pulses_max, false, extent_max_ps)?;
     let response = &response.get().0;
-    let fit = interruptible(py, |cancel| {
+    let fit = interruptible_unless(histogram.counts.len() <= FEW, py, |cancel| {
         let options = SparseOptions { cancel: cancel.clone(), ..options };
         sparse::fit_counts(&histogram, t0_ps, dt_ps, response, &options)
     })?;

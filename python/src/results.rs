@@ -1,5 +1,7 @@
 //! Result folders: their tables as Arrow streams, origins of rows, and the report.
 
+mod columns;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -67,6 +69,14 @@ impl Results {
         let explanation =
             py.detach(|| explain(&self.shelf, &target, table.as_deref(), &campaigns)).map_err(of_history)?;
         serde_json::to_string(&explanation).map_err(|error| ResultsError::new_err(error.to_string()))
+    }
+
+    /// Whether the answer is to be believed: in a word, as the report has it, and the reasons.
+    #[getter]
+    fn verdict(&self, py: Python<'_>) -> PyResult<(&'static str, Vec<String>)> {
+        let report = py.detach(|| Report::of(self.shelf.out())).map_err(of_history)?;
+        let (word, reasons) = report.verdict();
+        Ok((word, reasons.to_vec()))
     }
 
     /// The report as the text of an HTML page.
@@ -141,6 +151,33 @@ impl Table {
     #[getter]
     fn columns(&self) -> Vec<&str> {
         self.schema.fields().iter().map(|field| field.name().as_str()).collect()
+    }
+
+    /// A column as an array: numbers of their type (with NaN where values are missing), else objects: texts, arrays
+    /// where each row has a list, and None.
+    ///
+    /// Parameters
+    /// ----------
+    /// name : str
+    ///     One of `columns`.
+    ///
+    /// Raises
+    /// ------
+    /// KeyError
+    ///     If there is no such column.
+    /// ResultsError
+    ///     If a file is damaged.
+    fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let place = self.schema.index_of(name).map_err(|_| {
+            let columns = self.columns();
+            PyKeyError::new_err(format!("table {} has no column {name:?}; it has {columns:?}", self.name))
+        })?;
+        let read = || {
+            let column = |batch: Result<RecordBatch, ArrowError>| Ok(Arc::clone(batch?.column(place)));
+            self.reader().map(column).collect::<Result<Vec<_>, ArrowError>>()
+        };
+        let parts = py.detach(read).map_err(|error| ResultsError::new_err(format!("table {}: {error}", self.name)))?;
+        columns::array(py, name, self.schema.field(place).data_type(), &parts)
     }
 
     /// The rows as an Arrow stream: the protocol of the Arrow PyCapsule interface. Types are those of the table,

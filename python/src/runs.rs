@@ -32,6 +32,8 @@ use crate::interrupt::interruptible_run;
 ///     Each `TABLE.PARAM=VALUE`.
 /// until : str, optional
 /// progress : {"auto", "bar", "lines", "none"}
+/// listener : callable, optional
+///     Gets each event of the progress as a JSON text, in place of standard error.
 ///
 /// Returns
 /// -------
@@ -48,9 +50,13 @@ pub fn run(
     settings: Vec<String>,
     until: Option<String>,
     progress: &str,
+    listener: Option<Py<PyAny>>,
 ) -> PyResult<(u64, Vec<String>)> {
     require(!campaigns.is_empty(), || "there is no campaign to run".to_owned())?;
-    let style = style(progress)?;
+    let progress = match listener {
+        Some(listener) => Progress::to(move |event| pass_on(&listener, &event.to_string())),
+        None => Progress::new(style(progress)?),
+    };
     let campaigns: Vec<Campaign> =
         campaigns.iter().map(|folder| Campaign::load(folder).map_err(of_campaign)).collect::<PyResult<_>>()?;
     let reference = match pipeline {
@@ -61,9 +67,14 @@ pub fn run(
     definition.set(&settings).map_err(of_pipeline)?;
     let spec = Spec::new(&definition).map_err(of_pipeline)?;
     let shelf = Shelf::open(&out).map_err(of_store)?;
-    let job = Job { spec, reference, settings, campaigns, shelf, until, style };
+    let job = Job { spec, reference, settings, campaigns, shelf, until, progress };
     let outcome = interruptible_run(py, |cancel| job.execute(cancel))?.map_err(of_run)?;
     Ok((outcome.rejects, outcome.left_out.iter().map(ToString::to_string).collect()))
+}
+
+/// Passes an event of the progress on. An exception is no reason to end the run: Python prints it.
+fn pass_on(listener: &Py<PyAny>, event: &str) {
+    Python::attach(|py| listener.call1(py, (event,)).map_err(|error| error.write_unraisable(py, None)).ok());
 }
 
 /// How to show progress.
@@ -88,7 +99,7 @@ struct Job {
     campaigns: Vec<Campaign>,
     shelf: Shelf,
     until: Option<String>,
-    style: Style,
+    progress: Progress,
 }
 
 impl Job {
@@ -118,10 +129,25 @@ impl Job {
         let settings = Settings { memory_bytes: settings.memory_bytes.max(settings.least_memory()), ..settings };
         let mut plan =
             Plan::new(&self.spec, &self.campaigns, &self.shelf, self.until.as_deref()).map_err(RunError::Plan)?;
-        let outcome = runner::run(&mut plan, &settings, &Progress::new(self.style));
+        let outcome = runner::run(&mut plan, &settings, &self.progress);
         whole.extend(lineages(&plan));
         Ok(outcome?)
     }
+}
+
+/// Reads campaign.toml and its tables; `periscope.write_campaign` calls it on what it wrote.
+///
+/// Parameters
+/// ----------
+/// campaign : path
+///
+/// Returns
+/// -------
+/// str
+///     Name of the campaign.
+#[pyfunction]
+pub fn load_campaign(campaign: PathBuf) -> PyResult<String> {
+    Campaign::load(&campaign).map(|campaign| campaign.name).map_err(of_campaign)
 }
 
 /// Simulates the campaign of a scene: scope files, campaign.toml, and the truth as tables.

@@ -38,6 +38,25 @@ print(len(periscope.estimate_noise(mean).acf), flush=True)
 """
 
 
+SEARCH = """
+import itertools
+import numpy as np
+import periscope
+
+rng = np.random.default_rng(2)
+wall_m = np.column_stack([rng.uniform(-1, 1, (60, 2)), np.zeros(60)])
+pairs = list(itertools.combinations(range(60), 2))
+times_ps = [rng.uniform(0, 30_000, 40) for _ in pairs]
+print("ready", flush=True)
+try:
+    periscope.find_hidden(wall_m, pairs, times_ps, 5.0, (0.0, 30_000.0), source_m=(0.0, 0.0, 1.0))
+    print("finished", flush=True)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+print(len(periscope.estimate_noise(times_ps[0]).acf), flush=True)
+"""
+
+
 def interrupted(code: str, after_s: float) -> tuple[list[str], float]:
     """What a program prints that gets Ctrl-C some time after its first line, and how long it takes to end.
 
@@ -56,8 +75,9 @@ def interrupted(code: str, after_s: float) -> tuple[list[str], float]:
     return printed.splitlines(), time.monotonic() - sent
 
 
-def test_ctrl_c_ends_a_kernel() -> None:
-    printed, elapsed_s = interrupted(LONG, 0.5)
+@pytest.mark.parametrize("code", [LONG, SEARCH], ids=["deconvolve", "find_hidden"])
+def test_ctrl_c_ends_a_kernel(code: str) -> None:
+    printed, elapsed_s = interrupted(code, 0.5)
     assert printed == ["interrupted", "32"] and elapsed_s < 3.0
 
 

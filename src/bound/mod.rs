@@ -6,13 +6,14 @@
 //!   of the response.
 //! - [`coordinates`]: all captures and the response captures together determine the positions. Also unknown: each
 //!   sensor's delay and response width, the reference pulse's error in each profile, the length of the known path.
-//! - [`outlook`]: what that means for a planned measurement, for `periscope design`.
+//! - [`outlook`]: what that means for a planned measurement; [`design`] asks for it as `periscope design` does.
 //!
 //! Not included: distortions by an instrument's flaws (saturation, slew, interleaving, drift), the pile-up of photon
 //! counters, amplitudes as a source of geometry.
 
 mod banded;
 pub mod coordinates;
+pub mod design;
 pub mod outlook;
 pub mod profile;
 

@@ -8,18 +8,16 @@ use std::process::ExitCode;
 
 use anyhow::{Result, bail};
 use clap::Args;
-use periscope::bound::Use;
-use periscope::bound::outlook::{Change, Outlook};
-use periscope::campaign::keys::PatchRole;
+use periscope::bound::design::Design;
+use periscope::bound::outlook::Outlook;
 use periscope::simulate::Scene;
 use periscope::simulate::wall::WallScene;
-use serde_json::json;
 
 use super::output::{Format, Output, Rows, json, print, print_text};
 
 /// Arguments of `design`.
 #[derive(Args)]
-pub struct Design {
+pub struct Arguments {
     /// Scene description (TOML), as for `simulate`; or a wall and surfaces that it is to show ([wall], [surfaces.NAME])
     scene: PathBuf,
     /// Highest order of bounces that the geometry uses: 2, or 3 where the scene has hidden patches
@@ -36,7 +34,7 @@ pub struct Design {
 const LISTED: usize = 10;
 
 /// The command.
-pub fn design(args: &Design) -> Result<ExitCode> {
+pub fn design(args: &Arguments) -> Result<ExitCode> {
     if args.threshold.is_nan() || args.threshold <= 0.0 {
         bail!("--threshold {} must be above 0", args.threshold);
     }
@@ -47,22 +45,18 @@ pub fn design(args: &Design) -> Result<ExitCode> {
         wall::design(&WallScene::load(&args.scene)?, args.threshold, &args.output)?;
         return Ok(ExitCode::SUCCESS);
     }
-    let mut scene = Scene::load(&args.scene)?;
-    let hidden = scene.patches.values().any(|disk| disk.role == PatchRole::Hidden);
-    let bounces = args.bounces.unwrap_or(if hidden { 3 } else { 2 });
-    if !(1..=5).contains(&bounces) {
+    let scene = Scene::load(&args.scene)?;
+    if let Some(bounces) = args.bounces.filter(|bounces| !(1..=5).contains(bounces)) {
         bail!("--bounces {bounces}: light is followed over 1 to 5");
     }
-    // One order more than the geometry uses shows which pulses are too weak, and which blend.
-    scene.captures.bounces = scene.captures.bounces.max(bounces).max(3);
-    let outlook = Outlook::new(&scene, Use { bounces, threshold_sigma: args.threshold })?;
+    let design = Design::new(scene, args.bounces, args.threshold)?;
     match args.output.format {
-        Format::Table => print_text(&text(&scene, &outlook, bounces, args.threshold)?)?,
-        Format::Json => print(json(&object(&scene, &outlook))?)?,
+        Format::Table => print_text(&text(&design)?)?,
+        Format::Json => print(json(&design.object())?)?,
         Format::Csv => {
             let columns =
                 ["patch", "kind", "sd_m", "chance", "onsets", "snr_strongest", "shots_strongest", "hours_strongest"];
-            Rows::of(&columns, object(&scene, &outlook)["patches"].as_array().expect("a list"))?.print(Format::Csv)?;
+            Rows::of(&columns, design.object()["patches"].as_array().expect("a list"))?.print(Format::Csv)?;
         }
     }
     Ok(ExitCode::SUCCESS)
@@ -96,7 +90,8 @@ fn effort(shots: f64, time_h: f64) -> String {
     }
 }
 
-fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Result<String, std::fmt::Error> {
+fn text(design: &Design) -> Result<String, std::fmt::Error> {
+    let Design { scene, bounces, threshold_sigma, outlook } = design;
     let mut text = String::new();
     let seen: usize = scene.sensors.keys().map(|sensor| scene.seen_by(sensor).len()).sum();
     let captures = scene.lit().len() * seen;
@@ -110,8 +105,8 @@ fn text(scene: &Scene, outlook: &Outlook, bounces: usize, threshold: f64) -> Res
         hours(outlook.hours),
         if scene.instrument.snr.is_some() { " (signal-to-noise ratio set, not derived)" } else { "" }
     )?;
-    positions(&mut text, outlook, bounces)?;
-    orders(&mut text, outlook, threshold)?;
+    positions(&mut text, outlook, *bounces)?;
+    orders(&mut text, outlook, *threshold_sigma)?;
     blends(&mut text, outlook)?;
     if !outlook.ambiguities.is_empty() {
         writeln!(text, "\nWhat the data leave open")?;
@@ -205,33 +200,4 @@ fn changes(text: &mut String, outlook: &Outlook) -> std::fmt::Result {
         )?;
     }
     Ok(())
-}
-
-/// JSON has no infinity: a value that no number of shots reaches becomes null.
-fn finite(value: f64) -> Option<f64> {
-    value.is_finite().then_some(value)
-}
-
-fn object(scene: &Scene, outlook: &Outlook) -> serde_json::Value {
-    let change = |row: &Change| json!({"change": row.what, "visible_sd_m": row.visible_m, "hidden_sd_m": row.hidden_m, "onsets": row.onsets, "hours": row.hours});
-    json!({
-        "scene": scene.name,
-        "snr_was_set": scene.instrument.snr.is_some(),
-        "pulses": outlook.pulses,
-        "hours": outlook.hours,
-        "patches": outlook.patches.iter().map(|row| json!({
-            "patch": row.patch, "kind": row.kind, "sd_m": row.sd_m, "covariance_m2": row.covariance_m2, "chance": row.chance, "onsets": row.onsets,
-            "snr_strongest": row.snr, "shots_strongest": finite(row.shots), "hours_strongest": finite(row.hours),
-        })).collect::<Vec<_>>(),
-        "bounces": outlook.orders.iter().map(|row| json!({
-            "order": row.bounces, "paths": row.paths, "found": row.onsets, "snr_least": row.snr[0], "snr_median": row.snr[1],
-            "snr_most": row.snr[2], "shots_median": finite(row.shots[0]), "shots_strongest": finite(row.shots[1]),
-            "hours_median": finite(row.hours[0]), "hours_strongest": finite(row.hours[1]),
-        })).collect::<Vec<_>>(),
-        "blends": outlook.blends.iter().map(|row| json!({
-            "sensor": row.sensor, "lit": row.lit, "seen": row.seen, "paths": row.paths, "apart_ps": row.apart_ps,
-        })).collect::<Vec<_>>(),
-        "ambiguities": outlook.ambiguities,
-        "changes": outlook.changes.iter().map(change).collect::<Vec<_>>(),
-    })
 }

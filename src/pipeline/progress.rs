@@ -72,16 +72,8 @@ const LINE_FIRST: Duration = Duration::from_secs(5);
 const LINE_AT_LAST: Duration = Duration::from_mins(5);
 /// Time between two JSON objects within a pass.
 const JSON_EVERY: Duration = Duration::from_secs(1);
+const LISTENER_EVERY: Duration = Duration::from_millis(100);
 
-/// Progress of a run.
-pub struct Progress {
-    style: Style,
-    pass: Mutex<Option<Pass>>,
-    read: AtomicU64,
-    set_aside: AtomicU64,
-}
-
-/// The current pass.
 /// Prints a line to standard error. That it is closed is no reason to stop.
 macro_rules! note {
     ($($text:tt)*) => {{
@@ -89,6 +81,19 @@ macro_rules! note {
     }};
 }
 
+/// Takes the events of [`Style::Json`].
+type Listener = Box<dyn Fn(&Value) + Send + Sync>;
+
+/// Progress of a run.
+pub struct Progress {
+    style: Style,
+    listener: Option<Listener>,
+    pass: Mutex<Option<Pass>>,
+    read: AtomicU64,
+    set_aside: AtomicU64,
+}
+
+/// The current pass.
 struct Pass {
     tables: Vec<String>,
     amount: Amount,
@@ -102,7 +107,21 @@ impl Progress {
     /// Shows progress in this style.
     #[must_use]
     pub fn new(style: Style) -> Self {
-        Self { style, pass: Mutex::new(None), read: AtomicU64::new(0), set_aside: AtomicU64::new(0) }
+        Self { style, listener: None, pass: Mutex::new(None), read: AtomicU64::new(0), set_aside: AtomicU64::new(0) }
+    }
+
+    /// Hands the objects of [`Style::Json`] to a listener in place of standard error, ten a second at most.
+    #[must_use]
+    pub fn to(listener: impl Fn(&Value) + Send + Sync + 'static) -> Self {
+        Self { listener: Some(Box::new(listener)), ..Self::new(Style::Json) }
+    }
+
+    /// Passes an object on.
+    fn send(&self, event: &Value) {
+        match &self.listener {
+            Some(listener) => listener(event),
+            None => note!("{event}"),
+        }
     }
 
     /// Starts a pass that makes these tables from this amount; `whole` of the `wanted` tables are finished.
@@ -114,14 +133,18 @@ impl Progress {
         let bar = (self.style == Style::Bar).then(|| bar(place.clone(), tables.clone(), amount));
         match self.style {
             Style::Lines => note!("{place} computing {tables}"),
-            Style::Json => note!(
-                "{}",
-                json!({ "event": "pass", "tables": headings, "unit": amount.unit(), "of": amount.total(), "whole": whole, "wanted": wanted })
+            Style::Json => self.send(
+                &json!({ "event": "pass", "tables": headings, "unit": amount.unit(), "of": amount.total(), "whole": whole, "wanted": wanted })
             ),
             Style::Bar | Style::Silent => {}
         }
         let tables = headings.iter().map(|&heading| heading.to_owned()).collect();
-        let (now, next_line) = (Instant::now(), if self.style == Style::Json { JSON_EVERY } else { LINE_FIRST });
+        let next_line = match (self.style, &self.listener) {
+            (Style::Json, Some(_)) => LISTENER_EVERY,
+            (Style::Json, None) => JSON_EVERY,
+            _ => LINE_FIRST,
+        };
+        let now = Instant::now();
         *self.pass.lock().unwrap_or_else(PoisonError::into_inner) =
             Some(Pass { tables, amount, started: now, last_line: now, next_line, bar });
     }
@@ -143,7 +166,7 @@ impl Progress {
             pass.last_line = Instant::now();
             let elapsed = pass.started.elapsed();
             if self.style == Style::Json {
-                note!("{}", json_line("read", pass, read, elapsed));
+                self.send(&json_line("read", pass, read, elapsed));
             } else {
                 pass.next_line = (2 * pass.next_line).min(LINE_AT_LAST);
                 note!("  {}", line(pass.amount, read, elapsed));
@@ -169,7 +192,7 @@ impl Progress {
                 let mut done = json_line("done", &pass, read, elapsed);
                 done["tables"] = json!(pass.tables);
                 done["set_aside"] = json!(set_aside);
-                note!("{done}");
+                self.send(&done);
             }
             Style::Bar => {
                 pass.bar.iter().for_each(ProgressBar::finish_and_clear);
@@ -220,6 +243,8 @@ fn style(template: &str) -> ProgressStyle {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
 
     #[test]
@@ -229,5 +254,20 @@ mod tests {
         assert_eq!(line(bytes, 500_000_000, elapsed), "500.0 MB of 3.00 GB, 125.0 MB/s, 20 s left");
         assert_eq!(line(Amount::Rows(900), 300, elapsed), "300 rows of 900 rows, 75 rows/s, 8 s left");
         assert_eq!(line(Amount::Rows(900), 0, elapsed), "0 rows of 900 rows, 0 rows/s");
+    }
+
+    #[test]
+    fn a_listener_gets_each_pass_with_its_end() {
+        let events = Arc::new(Mutex::new(Vec::new()));
+        let heard = Arc::clone(&events);
+        let progress = Progress::to(move |event| heard.lock().unwrap().push(event.clone()));
+        progress.pass(&["profiles"], Amount::Rows(10), 1, 2);
+        progress.advance(10);
+        progress.finish();
+        let events = events.lock().unwrap();
+        assert_eq!(events[0]["event"], "pass");
+        assert_eq!((&events[0]["tables"], &events[0]["of"]), (&json!(["profiles"]), &json!(10)));
+        let last = events.last().unwrap();
+        assert_eq!((&last["event"], &last["read"]), (&json!("done"), &json!(10)));
     }
 }

@@ -101,6 +101,12 @@ impl Report {
             provenance,
         })
     }
+
+    /// Whether the answer is to be believed, in a word, with reasons.
+    #[must_use]
+    pub fn verdict(&self) -> (&'static str, &[String]) {
+        (self.verdict.word.text(), &self.verdict.reasons)
+    }
 }
 
 /// At most `most` of `all`, evenly spread over them; their order is kept.

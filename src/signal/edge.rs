@@ -22,6 +22,8 @@ mod law;
 pub use background::Background;
 pub use law::{CORNER, EDGE, Ends, Face, Rise, Rises, STEP};
 
+use super::response::Response;
+
 /// Full width at half maximum of a Gaussian, in standard deviations.
 const FWHM: f64 = 2.354_820_045_030_949_3;
 /// Window before and behind the first return, in standard deviations of the response.
@@ -44,6 +46,8 @@ const DONE: f64 = 1e-6;
 const LEAST: usize = 8;
 /// Farthest step of the first return from its start, in standard deviations of the response.
 const FARTHEST: f64 = 4.0;
+/// Samples of a response across its width.
+const SAMPLES: f64 = 40.0;
 
 impl Rises {
     /// From the response at `first_ps`, `first_ps + step_ps`... behind the arrival of light, on any scale; its full
@@ -55,6 +59,20 @@ impl Rises {
     pub fn new(grid_ps: [f64; 2], response: &[f64], [width_ps, bin_ps]: [f64; 2]) -> Self {
         let sigma_ps = width_ps / FWHM;
         Self::over(grid_ps, response, [sigma_ps, bin_ps], (BEHIND + 2.0 * FARTHEST) * sigma_ps)
+    }
+
+    /// Behind a response of some width, for bins of this width.
+    ///
+    /// # Panics
+    /// If the response has no positive sum, or a width is not positive.
+    #[must_use]
+    pub fn behind(response: &Response, [width_ps, bin_ps]: [f64; 2]) -> Self {
+        let step_ps = width_ps / SAMPLES;
+        let (first_ps, end_ps) = response.support_ps();
+        let count = ((end_ps - first_ps) / step_ps).ceil() as usize + 1;
+        let value = |n: usize| response.value(first_ps + n as f64 * step_ps).max(0.0);
+        let values: Vec<f64> = (0..count).map(value).collect();
+        Self::new([first_ps, step_ps], &values, [width_ps, bin_ps])
     }
 }
 

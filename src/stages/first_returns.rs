@@ -177,11 +177,7 @@ impl FirstReturns {
             // The wall's light is already averaged over bins.
             return Rises::new([first_ps, step_ps], &values, [width_ps, step_ps]);
         }
-        let (support_ps, end_ps) = first.response().support_ps();
-        let count = ((end_ps - support_ps) / step_ps).ceil() as usize + 1;
-        let value = |n: usize| first.response().value(support_ps + n as f64 * step_ps).max(0.0);
-        let values: Vec<f64> = (0..count).map(value).collect();
-        Rises::new([support_ps, step_ps], &values, [width_ps, first.dt_ps()])
+        Rises::behind(first.response(), [width_ps, first.dt_ps()])
     }
 }
 

@@ -12,6 +12,7 @@ use pyo3::types::PyTuple;
 
 use super::opened::Opened;
 use crate::arrays::vector;
+use crate::plots::plot;
 
 const PS_PER_S: f64 = 1e12;
 
@@ -215,6 +216,21 @@ impl Waveform {
             PyValueError::new_err(format!("{}: the file gives no times of its samples", self.file.path.display()))
         })?;
         Ok(vector(py, samples.map(|sample| t0_ps + sample as f64 * dt_ps).collect()))
+    }
+
+    /// Draws the samples over time. Needs matplotlib.
+    ///
+    /// Parameters
+    /// ----------
+    /// ax : matplotlib.axes.Axes, optional
+    ///     Where to; by default a new figure.
+    ///
+    /// Returns
+    /// -------
+    /// matplotlib.axes.Axes
+    #[pyo3(signature = (ax=None))]
+    fn plot<'py>(slf: &Bound<'py, Self>, ax: Option<Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        plot(slf, "waveform", ax)
     }
 
     fn __len__(&self) -> usize {
