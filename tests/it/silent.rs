@@ -171,6 +171,18 @@ fn causes_of_rejected_shots_are_counted_one_by_one() {
     );
 }
 
+/// Without a reference channel the trigger's jitter moves shots, and they differ from their median.
+#[test]
+fn a_reference_that_is_not_named_is_the_cause_that_is_named() {
+    let lab = Lab::tiny();
+    for role in ["response/s1", "scene/{sensor}_L{lit}_P{seen}"] {
+        edit(&lab, &format!("reference = {{ files = \"raw/{role}_C2.trc\" }}\n"), "");
+    }
+    let (code, text) = check(&lab, &[]);
+    assert_eq!(code, 3, "{text}");
+    contains(&text, &["outlying", "name the channel that sees the laser as `reference` in the [[captures]] rule"]);
+}
+
 /// A capture that is used, but has lost more than a quarter of its shots.
 #[test]
 fn a_capture_that_loses_many_shots_is_reported() {

@@ -120,11 +120,18 @@ impl Account<'_> {
         }
         match cause {
             Cause::Clipped => "Open the vertical range, attenuate, or add a capture at a second range".to_owned(),
-            Cause::Outlying => format!(
-                "A sample of each lies more than `outlier_sigma` = {} robust standard deviations from the median of the first shots: \
-                 look for disturbances, or set `reject_outliers = false` if these shots are good",
-                self.average.outlier_sigma.get()
-            ),
+            Cause::Outlying => {
+                let jitters = if self.sought.is_none() {
+                    "if the trigger jitters, name the channel that sees the laser as `reference` in the [[captures]] rule; "
+                } else {
+                    ""
+                };
+                format!(
+                    "A sample of each lies more than `outlier_sigma` = {} robust standard deviations from the median of the first shots: \
+                     {jitters}look for disturbances, or set `reject_outliers = false` if these shots are good",
+                    self.average.outlier_sigma.get()
+                )
+            }
             Cause::ReferenceClipped => "Open the vertical range of the reference channel".to_owned(),
             Cause::WithoutReference => format!(
                 "Does that channel show the pulse of the response captures? Correct `reference` in the [[captures]] rule, or the time \
