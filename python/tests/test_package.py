@@ -65,7 +65,7 @@ def test_stubs_name_what_is_there_with_its_parameters() -> None:
 def test_the_package_needs_numpy_alone() -> None:
     code = "import sys, periscope; print(*sorted({name.split('.')[0] for name in sys.modules}))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert "periscope" in loaded and not {"polars", "pyarrow", "pandas", "scipy", "matplotlib"} & set(loaded)
+    assert "periscope" in loaded and not {"polars", "pyarrow", "pandas", "scipy", "matplotlib", "xarray", "tqdm"} & set(loaded)
 
 
 def test_the_page_of_the_guide_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, campaign: Path) -> None:
