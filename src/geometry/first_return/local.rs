@@ -168,8 +168,8 @@ pub trait Local: Clone + Send + Sync {
         equations
     }
 
-    /// Errors of the law at each member: a Gaussian random function over the wall, whose correlation falls as a Gaussian
-    /// of `zone_m`, is a sum of these waves with random heights of variances [`WAVE_VARIANCES`].
+    /// Errors of the law at each member. A Gaussian random function over the wall, whose correlation falls as a
+    /// Gaussian of `zone_m`, is a sum of these waves with random heights of variances [`WAVE_VARIANCES`].
     fn waves<'a>(
         &self,
         samples: &'a [Sample],
