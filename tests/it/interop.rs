@@ -2,7 +2,7 @@
 
 mod mat;
 pub mod scene;
-mod y_tal;
+pub mod y_tal;
 
 use std::fs;
 use std::path::Path;

@@ -16,6 +16,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use crate::interop::y_tal;
 use crate::relay_scene::periscope;
 use files::{ANCHOR_UNITS, LasPulse, Shot, VELOCITY_Z_M_PER_PS};
 
@@ -178,6 +179,12 @@ fn echoes_of_a_simulated_flight_lie_within_their_errors() {
     assert_eq!(body.lines().count(), echoes.len());
     periscope(folder.path(), &["export", "results", "cloud.las"]);
     check_las(&fs::read(folder.path().join("cloud.las")).unwrap(), &echoes);
+    let row = |echo: &Echo| {
+        let Echo { x_m, y_m, z_m, range_sd_m, echo: number, echoes, .. } = echo;
+        format!("{x_m:?},{y_m:?},{z_m:?},{range_sd_m:?},{number},{echoes}\n")
+    };
+    fs::write(folder.path().join("echoes.csv"), echoes.iter().map(row).collect::<String>()).unwrap();
+    y_tal::python(folder.path(), &["cloud", "cloud.las", "echoes.csv"]);
 }
 
 /// A LAS file of these echoes, by the layout of the specification: each place to half of its scale.

@@ -1,4 +1,4 @@
-"""What y-tal, SciPy and plyfile say to files: called by y_tal.rs with a verb and files."""
+"""What y-tal, SciPy, plyfile and laspy say to files: called by y_tal.rs with a verb and files."""
 
 import csv
 import sys
@@ -163,6 +163,19 @@ def volume(name, array, column, row, depth, x, y, z):
     assert np.array_equal(values, expected.transpose(1, 0, 2))
     place = places[int(column), int(row), int(depth)]
     assert np.allclose(place, np.array([x, y, z], float), atol=1e-6), place
+
+
+def cloud(las, echoes):
+    """A cloud of echoes, against rows of x, y, z, standard deviation of the range, number of the echo, and of echoes."""
+    import laspy
+
+    points = laspy.read(las)
+    rows = np.loadtxt(echoes, delimiter=",")
+    places = np.stack([points.x, points.y, points.z], axis=1)
+    assert places.shape == (len(rows), 3), places.shape
+    assert np.abs(places - rows[:, :3]).max() < 0.51 * points.header.scales.max()
+    assert np.allclose(points["range_sd_m"], rows[:, 3], rtol=1e-6)
+    assert np.array_equal(points.return_number, rows[:, 4]) and np.array_equal(points.number_of_returns, rows[:, 5])
 
 
 if __name__ == "__main__":

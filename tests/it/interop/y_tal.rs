@@ -1,4 +1,4 @@
-//! The real y-tal, SciPy and plyfile on our files, and ours on theirs.
+//! The real y-tal, SciPy, plyfile and laspy on our files, and ours on theirs.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
     let venv = target.join("python-tal");
     let mut pythons = given.into_iter().chain([venv.join("bin/python"), "python3".into()]);
     let has_all = |python: &PathBuf| {
-        let imports = ["-c", "import plyfile, scipy.io, tal.io"];
+        let imports = ["-c", "import laspy, plyfile, scipy.io, tal.io"];
         Command::new(python).args(imports).output().is_ok_and(|output| output.status.success())
     };
     let python = pythons.find(has_all);
@@ -27,7 +27,7 @@ static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
         // Not by `eprintln!`, which the test harness swallows: a test that looked at nothing must not pass in silence.
         let _ = writeln!(
             std::io::stderr(),
-            "NOT TESTED against y-tal: no Python has y-tal, scipy and plyfile; mend: python3 -m venv {0} && {0}/bin/pip install y-tal scipy plyfile",
+            "NOT TESTED against y-tal: no Python has y-tal, scipy, plyfile and laspy; mend: python3 -m venv {0} && {0}/bin/pip install y-tal scipy plyfile laspy",
             venv.display()
         );
     }
@@ -35,7 +35,7 @@ static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
 });
 
 /// Runs the script; `false` where there is no Python to test with.
-fn python(folder: &Path, args: &[&str]) -> bool {
+pub fn python(folder: &Path, args: &[&str]) -> bool {
     let Some(python) = PYTHON.as_ref() else { return false };
     let output = Command::new(python).arg(SCRIPT).args(args).current_dir(folder).output().unwrap();
     assert!(output.status.success(), "{args:?}\n{}", String::from_utf8_lossy(&output.stderr));
