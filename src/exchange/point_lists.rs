@@ -1,4 +1,4 @@
-//! Captures as `counts` with lists of points: what a lab's own program writes to HDF5 or MAT.
+//! Captures as `counts` with lists of points: what a lab's own program writes to HDF5, MAT or `.npz`.
 //!
 //! | array | axes | what |
 //! |---|---|---|

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::{Capture, ExchangeError, confocal_mat, point_lists, y_tal, z_nlos};
 use crate::formats::array::Arrays;
 use crate::formats::hdf5::{self, Hdf5};
+use crate::formats::npz::{self, Npz};
 use crate::formats::{FormatError, Input, Reader, Source, mat5};
 
 /// Bytes that identify a format. MATLAB writes this many, minus eight, before HDF5.
@@ -75,6 +76,10 @@ fn arrays(path: &Path, most_bytes: Option<u64>) -> Result<(Arrays, Vec<String>, 
     let mut source = Source::open(path).map_err(failed)?;
     let length = source.length();
     let head = source.bytes("the head", 0, length.min(HEAD_BYTES)).map_err(failed)?;
+    if Npz.recognises(&head) {
+        let (arrays, names) = npz::arrays(&mut source, wanted, most_bytes).map_err(failed)?;
+        return Ok((arrays, names, false));
+    }
     if mat5::recognises(&head) {
         let (arrays, names) = mat5::arrays(&mut source, wanted, most_bytes).map_err(failed)?;
         return Ok((arrays, names, true));
@@ -82,7 +87,7 @@ fn arrays(path: &Path, most_bytes: Option<u64>) -> Result<(Arrays, Vec<String>, 
     let is_matlab = head.get(512..).is_some_and(|head| Hdf5.recognises(head));
     if !Hdf5.recognises(&head) && !is_matlab {
         let problem =
-            "is neither HDF5 nor a MAT-file of version 5 to 7.3; give a capture such as y-tal writes".to_owned();
+            "is neither HDF5 nor a MAT-file of version 5 to 7.3, nor a file of numpy.savez; give a capture such as y-tal writes".to_owned();
         return Err(ExchangeError::Unfit { path: path.to_owned(), problem });
     }
     let (arrays, names) = hdf5::arrays(&mut source, wanted, most_bytes).map_err(failed)?;

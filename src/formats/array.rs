@@ -1,4 +1,4 @@
-//! Arrays of numbers from files of whole data sets: HDF5 and MAT.
+//! Arrays of numbers from files of whole data sets: HDF5, MAT and `.npz`.
 
 use std::collections::BTreeMap;
 

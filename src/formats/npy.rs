@@ -6,6 +6,7 @@
 
 use std::io::{self, Write};
 
+use super::array;
 use super::description::Key;
 use super::grid::Grid;
 use super::reader::{FormatError, Input, Reader};
@@ -95,6 +96,64 @@ impl Array {
     pub fn record_bytes(&self) -> u64 {
         self.grid.samples() * self.code_type.bytes() as u64
     }
+}
+
+/// A whole array with all of its axes, from the bytes of its file: also single numbers, and integers of 32 and 64 bits
+/// without a sign or with, which become floating numbers.
+///
+/// # Errors
+/// When the bytes contradict the format, or are no numbers.
+pub(super) fn whole(bytes: &[u8]) -> Result<array::Array, FormatError> {
+    let (text, data) = header_text(bytes).map_err(refuse)?;
+    let Header { descr, fortran_order, shape } = Header::parse(text).map_err(refuse)?;
+    let (order, name) = descr.split_at_checked(1).unwrap_or(("", descr));
+    let width = match name {
+        "i8" | "u8" => 8,
+        "u4" => 4,
+        _ => code_type(descr).map_or(0, |(code_type, _)| code_type.bytes()),
+    };
+    if width == 0 {
+        return Err(refuse(format!("numbers of type {descr} are not read; save them as integers or floating numbers")));
+    }
+    let mut codes = bytes[data as usize..].to_vec();
+    if array::bytes_of(&shape, width) != Some(codes.len() as u64) {
+        let problem = format!("shape {shape:?} does not fit the {} bytes that follow the header", codes.len());
+        return Err(FormatError::Field { byte_offset: data, problem });
+    }
+    if order == ">" {
+        codes.chunks_exact_mut(width).for_each(<[u8]>::reverse);
+    }
+    let axes = array::lengths(&shape);
+    if fortran_order {
+        codes = last_axis_fastest(&codes, &axes, width);
+    }
+    let (code_type, codes) = match (name, code_type(descr)) {
+        (_, Some((code_type, _))) => (code_type, codes),
+        ("u4", None) => {
+            let long = codes.chunks_exact(4).flat_map(|code| [code, &[0; 4]].concat()).collect::<Vec<u8>>();
+            (CodeType::F64, array::from_long(&long, false))
+        }
+        (_, None) => (CodeType::F64, array::from_long(&codes, name == "i8")),
+    };
+    Ok(array::Array { axes, code_type, codes })
+}
+
+/// Numbers whose first axis is the fastest, with the last one as the fastest.
+fn last_axis_fastest(codes: &[u8], axes: &[usize], width: usize) -> Vec<u8> {
+    let mut ordered = Vec::with_capacity(codes.len());
+    let mut place = vec![0; axes.len()];
+    for _ in 0..codes.len() / width {
+        let at = place.iter().zip(axes).rev().fold(0, |at, (place, length)| at * length + place);
+        ordered.extend_from_slice(&codes[at * width..(at + 1) * width]);
+        for (place, length) in place.iter_mut().zip(axes).rev() {
+            *place += 1;
+            if *place < *length {
+                break;
+            }
+            *place = 0;
+        }
+    }
+    ordered
 }
 
 /// Returns the text of the header, and where the numbers begin.

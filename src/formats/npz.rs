@@ -13,9 +13,10 @@ use std::io;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
+use super::array::{self, Arrays};
 use super::description::{Description, Key};
 use super::inflate::{Packing, Unpacker};
-use super::npy::{Array, HEADER_BYTES};
+use super::npy::{self, Array, HEADER_BYTES};
 use super::reader::{FormatError, Input, Reader};
 use super::zip_file::{self, Member};
 use crate::waveform::{CodeType, Head, Payload, ReadSeek, Record, Unpack};
@@ -77,6 +78,32 @@ impl Reader for Npz {
         }
         Ok(records)
     }
+}
+
+/// Returns the arrays whose names `wanted` accepts, with all of their axes, and the names of all arrays. An array may
+/// have `most_bytes`.
+///
+/// # Errors
+/// When the file contradicts the format, or a wanted member is no array of numbers, or a larger one.
+pub fn arrays(
+    input: &mut dyn Input,
+    wanted: impl Fn(&str) -> bool,
+    most_bytes: u64,
+) -> Result<(Arrays, Vec<String>), FormatError> {
+    let members = zip_file::members(input)?;
+    let mut arrays = Arrays::new();
+    for member in members.iter().filter(|member| wanted(name(member))) {
+        let refuse = |problem: String| FormatError::Field { byte_offset: member.byte_offset, problem };
+        array::check_size(name(member), member.length, most_bytes).map_err(refuse)?;
+        let mut bytes = Vec::new();
+        let _ = member.unpack(&mut member.unpacker(), input.file(), member.length, &mut |piece| {
+            bytes.extend_from_slice(piece);
+            Ok(ControlFlow::Continue(()))
+        })?;
+        let array = npy::whole(&bytes).map_err(|error| refuse(format!("member {:?}: {error}", member.name)))?;
+        arrays.insert(name(member).to_owned(), array);
+    }
+    Ok((arrays, members.iter().map(|member| name(member).to_owned()).collect()))
 }
 
 /// Name of an array.
@@ -196,7 +223,7 @@ mod tests {
     use super::super::hostile;
     use super::super::zip_file::tests::{Local, zip};
     use super::*;
-    use crate::{Source, npy};
+    use crate::Source;
 
     /// Counts the bytes that are read.
     struct Counting<'a> {
@@ -344,6 +371,46 @@ mod tests {
             assert!(error.contains("it has c, fortran, x"), "{error}");
             let error = described(&bytes, None, Some(&["time", "shot"])).unwrap_err();
             assert!(error.contains("`variable` is missing"), "{error}");
+        }
+    }
+
+    /// Two rows of three numbers, 10 * row + column, however they are stored.
+    #[test]
+    fn whole_arrays_keep_their_axes() {
+        let head = |from: &str, to: &str, mut bytes: Vec<u8>| {
+            let at = bytes.windows(from.len()).position(|window| window == from.as_bytes()).expect("in the header");
+            bytes[at..at + from.len()].copy_from_slice(to.as_bytes());
+            bytes
+        };
+        let plain = array(&[2, 3], &[0.0, 1.0, 2.0, 10.0, 11.0, 12.0]);
+        let fortran = head("False", "True ", array(&[2, 3], &[0_i16, 10, 1, 11, 2, 12]));
+        // Integers of 64 bits, as NumPy has them by default, big-endian: floats give the room of eight bytes.
+        let bits = [0_i64, 1, 2, 10, 11, -12].map(|number| f64::from_bits(number.swap_bytes() as u64));
+        let long = head("<f8", ">i8", array(&[2, 3], &bits));
+        let unsigned = head("<f4", "<u4", array(&[1], &[f32::from_bits(4_000_000_000)]));
+        let members = [
+            ("plain.npy", plain.as_slice()),
+            ("fortran.npy", &fortran),
+            ("long.npy", &long),
+            ("unsigned.npy", &unsigned),
+            ("dt_ps.npy", &array(&[], &[16.0])),
+            ("notes.txt", b"no array"),
+        ];
+        for deflate in [false, true] {
+            let bytes = zip(&members, deflate, Local::Lengths);
+            let read = |most_bytes: u64| {
+                let mut source = Source::new(Cursor::new(&bytes), Path::new("a.npz")).unwrap();
+                arrays(&mut source, |name| name != "notes.txt", most_bytes).map_err(|error| error.to_string())
+            };
+            let (arrays, names) = read(u64::MAX).unwrap();
+            assert_eq!(names, ["plain", "fortran", "long", "unsigned", "dt_ps", "notes.txt"]);
+            assert_eq!((arrays["plain"].axes.as_slice(), arrays["dt_ps"].axes.len()), (&[2, 3][..], 0));
+            assert_eq!(arrays["plain"].values(), [0.0, 1.0, 2.0, 10.0, 11.0, 12.0]);
+            assert_eq!(arrays["fortran"].values(), [0.0, 1.0, 2.0, 10.0, 11.0, 12.0]);
+            assert_eq!(arrays["long"].values(), [0.0, 1.0, 2.0, 10.0, 11.0, -12.0]);
+            assert_eq!(arrays["unsigned"].values(), [4e9]);
+            assert_eq!(arrays["dt_ps"].values(), [16.0]);
+            assert!(read(100).unwrap_err().contains("may take 100"));
         }
     }
 

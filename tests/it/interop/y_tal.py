@@ -165,6 +165,14 @@ def volume(name, array, column, row, depth, x, y, z):
     assert np.allclose(place, np.array([x, y, z], float), atol=1e-6), place
 
 
+def points(path):
+    """Two lit and three seen points, four bins: the number of a bin is 100 lit + 10 seen + bin. Integers of 64 bits."""
+    lit, seen, bin = np.meshgrid(np.arange(2), np.arange(3), np.arange(4), indexing="ij")
+    place = lambda count: np.stack([0.1 * np.arange(count), np.zeros(count), np.zeros(count)], axis=1)
+    counts = np.asfortranarray(100 * lit + 10 * seen + bin)
+    np.savez_compressed(path, counts=counts, lit_m=place(2), seen_m=place(3), dt_ps=16.0, start_ps=7)
+
+
 def cloud(las, echoes):
     """A cloud of echoes, against rows of x, y, z, standard deviation of the range, number of the echo, and of echoes."""
     import laspy

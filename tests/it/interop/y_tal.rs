@@ -7,6 +7,7 @@ use std::sync::LazyLock;
 
 use super::{PIPELINE, done};
 use crate::locate::scene;
+use periscope::exchange::{self, Defaults};
 use periscope::store::Shelf;
 use periscope::tables::{Row, Voxel};
 
@@ -95,5 +96,20 @@ fn a_volume_is_read_by_y_tal() {
         let place = [last.x_m, last.y_m, last.z_m].map(|along_m| along_m.to_string());
         let voxel: Vec<&str> = cell.iter().chain(&place).map(String::as_str).collect();
         python(folder, &[&["volume", "volume.hdf5", "volume.npy"], voxel.as_slice()].concat());
+    }
+}
+
+#[test]
+fn a_file_of_numpy_is_a_capture() {
+    let folder = tempfile::tempdir().unwrap();
+    if !python(folder.path(), &["points", "points.npz"]) {
+        return;
+    }
+    let capture = exchange::read(&folder.path().join("points.npz"), &Defaults::default()).unwrap();
+    assert_eq!((capture.pairs.len(), capture.bins(), capture.dt_ps), (6, 4, 16.0));
+    for pair in &capture.pairs {
+        let first = (100 * pair.lit + 10 * pair.seen) as f64;
+        assert_eq!(capture.histogram(pair), [first, first + 1.0, first + 2.0, first + 3.0]);
+        assert_eq!(pair.start_ps, 7.0);
     }
 }
