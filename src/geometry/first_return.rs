@@ -186,9 +186,13 @@ pub fn surface_points(
             rounds.find_faces(cancel);
         }
     }
-    let mut points: Vec<SurfacePoint> = rounds.points().into_iter().flatten().collect();
-    points.par_iter_mut().for_each(|point| rounds.choice(point.place).add_slides(scan, point));
-    points
+    let of_place = |place: usize| {
+        let choice = rounds.choice(place);
+        let mut point = choice.surface_point(scan, place)?;
+        choice.add_slides(scan, &mut point);
+        Some(point)
+    };
+    (0..scan.places.len()).into_par_iter().filter_map(of_place).collect()
 }
 
 /// What is known of each place, and what a round hands on to the next.
