@@ -293,22 +293,27 @@ impl Response {
     ///     Time between samples of the shots.
     /// phase_shots : array_like, shape (64,)
     ///     `Mean.phase_shots`.
+    /// negligible : float, default 1e-4
+    ///     Ends below this share of the maximum are cut off. Give less where a pulse exceeds the noise of a sample by
+    ///     more than 1,000.
     ///
     /// Returns
     /// -------
     /// Response
-    fn averaged(&self, dt_ps: f64, phase_shots: Integers<'_>) -> PyResult<Self> {
+    #[pyo3(signature = (dt_ps, phase_shots, negligible=1e-4))]
+    fn averaged(&self, dt_ps: f64, phase_shots: Integers<'_>, negligible: f64) -> PyResult<Self> {
         let shots: Vec<i32> = phase_shots.as_array().iter().map(|shots| *shots as i32).collect();
         let is_count = shots.len() == PHASES && shots.iter().all(|n| *n >= 0) && shots.iter().any(|n| *n > 0);
         require(is_count, || format!("phase_shots are {PHASES} counts of shots, as Mean.phase_shots has them"))?;
-        let dt_ps = positive("dt_ps", dt_ps)?;
+        let (dt_ps, negligible) = (positive("dt_ps", dt_ps)?, positive("negligible", negligible)?);
+        require(negligible < 1.0, || format!("negligible is {negligible}; give a share below 1"))?;
         let (first_ps, last_ps) = self.0.support_ps();
         require(last_ps - first_ps <= MOST_SAMPLES * dt_ps, || {
             format!(
                 "dt_ps is {dt_ps}, of which the response has more than {MOST_SAMPLES}; give the time between samples of its shots"
             )
         })?;
-        Ok(Self(averaged_response::averaged_response(&self.0, dt_ps, &shots)))
+        Ok(Self(averaged_response::averaged_response(&self.0, dt_ps, &shots, negligible)))
     }
 
     fn __repr__(&self) -> String {

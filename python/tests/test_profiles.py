@@ -90,7 +90,10 @@ def test_a_response_is_its_spline() -> None:
     np.testing.assert_allclose(response.value(between_ps), gauss(between_ps, 60.0), atol=1e-5)
     assert response.support_ps == (-300.0, 300.0) and response.value([400.0])[0] == 0.0
     assert response.peak_ps == pytest.approx(0.0, abs=1e-6) and response.height == pytest.approx(1.0)
-    assert response.averaged(50.0, [1] * 64).width_ps > response.width_ps
+    mean = response.averaged(50.0, [1] * 64)
+    assert mean.width_ps > response.width_ps
+    longer = response.averaged(50.0, [1] * 64, negligible=1e-7)
+    assert longer.support_ps[0] < mean.support_ps[0] and longer.support_ps[1] > mean.support_ps[1]
     with pytest.raises(ValueError, match="64 counts"):
         response.averaged(50.0, [1, 2])
     with pytest.raises(ValueError, match="between samples of its shots"):

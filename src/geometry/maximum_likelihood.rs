@@ -41,7 +41,7 @@ pub use solution::Solution;
 /// a single call, which a cancel cannot end midway.
 pub const DENSE_MAX: usize = 1000;
 /// Steps after which a solution that has not settled is given up.
-const STEPS: usize = 200;
+const STEPS: usize = 1000;
 /// Steps that lower the objective by less than this share of it lead nowhere; after `IDLE_STEPS` of them a solution has
 /// settled too, in a flat valley.
 const IDLE: f64 = 1e-12;

@@ -13,6 +13,11 @@ use crate::tables::{Calibration, Profile};
 /// Share of a record whose samples give the noise, where the profile does not say.
 const BASELINE_SHARE: f64 = 0.1;
 
+/// Share of the noise of a profile's samples that the cut ends of an averaged response may be, and the share of its
+/// maximum that they may be at most.
+const CUT_NOISE_SHARE: f64 = 0.1;
+const CUT_MAX: f64 = 1e-4;
+
 /// No response is as wide in each profile to less than this, however many profiles say so.
 const WIDTH_SD_LEAST: f64 = 1e-3;
 
@@ -60,9 +65,17 @@ impl Calibrated {
 /// What averaging leaves of a response, or of a part of one, in a profile.
 pub fn averaged(response: &Response, profile: &Profile) -> Response {
     match &profile.phase_shots {
-        Some(phase_shots) => averaged_response(response, profile.dt_ps, phase_shots),
+        Some(phase_shots) => averaged_response(response, profile.dt_ps, phase_shots, cut_share(profile)),
         None => response.clone(),
     }
+}
+
+/// Share of its maximum below which the ends of an averaged response are cut off: a power of ten, so that noise hides
+/// the ends of even the strongest pulse.
+pub fn cut_share(profile: &Profile) -> f64 {
+    let largest_v = f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs));
+    let hidden = CUT_NOISE_SHARE * noise_v(profile) / largest_v;
+    10.0_f64.powf(hidden.log10().floor()).min(CUT_MAX)
 }
 
 /// All calibrated sensors, by their vertical ranges.

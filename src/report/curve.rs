@@ -143,6 +143,7 @@ fn pulse(impulse: &Impulse, polarity: f64) -> Pulse {
         // The table has a Gaussian and the tail behind it together.
         width_ps: (impulse.width_ps * impulse.width_ps - tail_ps * tail_ps).max(0.0).sqrt(),
         kurtosis: impulse.width_kurtosis.unwrap_or(0.0),
+        tilt: impulse.width_tilt.unwrap_or(0.0),
         width_sd_ps: impulse.width_sd_ps.unwrap_or(0.0),
         tail_ps,
         tail_sd_ps: 0.0,
@@ -280,6 +281,7 @@ mod tests {
             misfit_factor: 1.0,
             width_sd_ps: None,
             width_kurtosis: (width_ps > 0.0).then_some(0.0),
+            width_tilt: None,
             tail_ps: None,
             pair: None,
         }

@@ -7,19 +7,18 @@ use super::response::Response;
 
 /// Fine steps in a sample of an averaged response.
 const RESPONSE_STEPS: usize = 8;
-/// Share of the maximum below which an averaged response is cut off at its ends.
-const NEGLIGIBLE: f64 = 1e-4;
 
 /// What averaging leaves of an impulse response: `sum_p n_p / N sum_u w(u) h(t + u dt)`, over the phases p with their
 /// shots `n_p` and the taps u of the filter that delays each phase.
 ///
 /// One phase that lies on the grid leaves it as it is. Shots spread over all phases leave what lies below half the
-/// sample rate: what a fast edge has above rings, in the mean as in this.
+/// sample rate: what a fast edge has above rings, in the mean as in this. The ends of it that are less than the share
+/// `negligible` of its maximum are cut off.
 ///
 /// # Panics
 /// When there are not [`PHASES`] counts, no shots, or `dt_ps` is not positive.
 #[must_use]
-pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -> Response {
+pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32], negligible: f64) -> Response {
     assert_eq!(phase_shots.len(), PHASES, "a count for each phase");
     let shots: f64 = phase_shots.iter().copied().map(f64::from).sum();
     assert!(shots > 0.0 && dt_ps > 0.0, "an average has shots and a step");
@@ -52,7 +51,7 @@ pub fn averaged_response(response: &Response, dt_ps: f64, phase_shots: &[i32]) -
         }
     }
     let most = values.iter().fold(0.0_f64, |most, value| most.max(value.abs()));
-    let counts = |value: &f64| value.abs() > NEGLIGIBLE * most;
+    let counts = |value: &f64| value.abs() > negligible * most;
     let (from, to) = (values.iter().position(counts).unwrap_or(0), values.iter().rposition(counts).unwrap_or(1));
     let (from, to) = (from.saturating_sub(1), (to + 2).min(values.len()));
     Response::new((start + (from * coarse) as i64) as f64 * step_ps, step_ps * coarse as f64, &values[from..to])

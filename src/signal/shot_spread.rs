@@ -15,11 +15,7 @@ const JUDGES_MIN: usize = 8;
 const QUIET_SD: f64 = 0.741;
 
 /// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its `dark`
-/// samples) removed.
-///
-/// A shot that lies between two places of the grid is compared with the mean moved there by the band-limited filter
-/// that made it: a straight line between samples would add its error on fast edges to the spread. Places that fewer
-/// than two shots cover get NaN.
+/// samples) removed. Places that fewer than two shots cover get NaN.
 ///
 /// # Panics
 /// When `dark` has no samples, or more than a shot.
@@ -29,6 +25,66 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Vec<f64> 
     let mut squares = vec![0.0; count];
     // Where the number of shots that cover a place changes, and by how much.
     let mut changes = vec![0_i32; count + 1];
+    compare(shots, mean, dark, |Compared { at, own, values, moved, from }| {
+        let (squares, expected) = (&mut squares[at..at + values.len()], &moved[from..]);
+        widest(|| {
+            for ((square, value), expected) in squares.iter_mut().zip(values).zip(expected) {
+                let residual = value - own - expected;
+                *square += residual * residual;
+            }
+        });
+        changes[at] += 1;
+        changes[at + values.len()] -= 1;
+    });
+    let mut covering = 0;
+    for (square, change) in squares.iter_mut().zip(&changes) {
+        covering += change;
+        *square = if covering >= 2 { *square / f64::from(covering - 1) } else { f64::NAN };
+    }
+    squares
+}
+
+/// Variance over shots of their times, in samples squared: of how far each lies from the mean as a whole, by least
+/// squares with the mean's slope at the places that are `clear`. Jitter makes no less of it, and whatever else adds to
+/// the spread where the mean is steep hardly does, as where a pulse is too fast for its sampling.
+///
+/// # Panics
+/// With fewer than two shots, and as [`spread`].
+#[must_use]
+pub fn moves(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, clear: &[bool]) -> f64 {
+    assert!(shots.len() >= 2, "one shot has no variance");
+    let mut squares = 0.0;
+    compare(shots, mean, dark, |Compared { at, own, values, moved, from }| {
+        let (mut along, mut steep) = (0.0, 0.0);
+        for (n, value) in values.iter().enumerate().filter(|(n, _)| clear[at + n]) {
+            let place = from + n;
+            let slope = 0.5 * (moved[(place + 1).min(moved.len() - 1)] - moved[place.saturating_sub(1)]);
+            along += slope * (value - own - moved[place]);
+            steep += slope * slope;
+        }
+        squares += if steep > 0.0 { (along / steep).powi(2) } else { 0.0 };
+    });
+    squares / (shots.len() - 1) as f64
+}
+
+/// A shot beside the mean.
+struct Compared<'a> {
+    /// First place of the mean that the shot covers.
+    at: usize,
+    /// Its baseline over the mean's.
+    own: f64,
+    /// Its samples from there on, as far as the mean goes.
+    values: &'a [f64],
+    /// The mean, moved to where the shot lies, and where in it the first of these samples has its like.
+    moved: &'a [f64],
+    from: usize,
+}
+
+/// Lays each shot beside the mean.
+///
+/// A shot that lies between two places of the grid is compared with the mean moved there by the band-limited filter
+/// that made it: a straight line between samples would add its error on fast edges to the spread.
+fn compare(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, mut each: impl FnMut(Compared<'_>)) {
     let of_mean = &mean.mean[dark.of_mean(mean)];
     let floor: f64 = of_mean.iter().sum::<f64>() / of_mean.len() as f64;
     let (mut values, mut moved, mut moved_by) = (Vec::new(), mean.mean.clone(), 0);
@@ -45,28 +101,13 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Vec<f64> 
             moved_by = by;
         }
         let offset = whole - mean.first_position;
-        let (start, end) = ((-offset).max(0), (count as i64 - later - offset).min(values.len() as i64));
-        if start >= end {
-            continue;
+        let count = mean.mean.len() as i64;
+        let (start, end) = ((-offset).max(0), (count - later - offset).min(values.len() as i64));
+        if start < end {
+            let (at, values) = ((offset + start) as usize, &values[start as usize..end as usize]);
+            each(Compared { at, own, values, moved: &moved, from: at + later as usize });
         }
-        let (at, length) = ((offset + start) as usize, (end - start) as usize);
-        let expected = &moved[at + later as usize..];
-        let squares = &mut squares[at..at + length];
-        widest(|| {
-            for ((square, value), expected) in squares.iter_mut().zip(&values[start as usize..]).zip(expected) {
-                let residual = value - own - expected;
-                *square += residual * residual;
-            }
-        });
-        changes[at] += 1;
-        changes[at + length] -= 1;
     }
-    let mut covering = 0;
-    for (square, change) in squares.iter_mut().zip(&changes) {
-        covering += change;
-        *square = if covering >= 2 { *square / f64::from(covering - 1) } else { f64::NAN };
-    }
-    squares
 }
 
 /// Finds outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
@@ -177,6 +218,42 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
+
+    /// Shots of a pulse of 2.5 samples or of 0.7, which its sampling cannot follow, with noise of 1 code and jitter.
+    fn pulses(width: f64, jitter: f64, rng: &mut ChaCha8Rng) -> Vec<(Vec<u8>, i64)> {
+        let mut shot = || {
+            let position = rng.random_range(0..PHASES as i64);
+            let late: f64 = StandardNormal.sample(rng);
+            let middle = 100.0 - position as f64 / PHASES as f64 + jitter * late;
+            let mut code = |n: usize| -> [u8; 2] {
+                let normal: f64 = StandardNormal.sample(rng);
+                ((8000.0 * (-0.5 * ((n as f64 - middle) / width).powi(2)).exp() + normal).round() as i16).to_le_bytes()
+            };
+            ((0..200).flat_map(&mut code).collect(), position)
+        };
+        (0..HEAD_SHOTS).map(|_| shot()).collect()
+    }
+
+    /// Jitter is seen in full. A pulse that is too fast for its sampling, whose shots differ by far more than noise where
+    /// it is steep, shows nearly none.
+    #[test]
+    fn only_shots_that_move_have_jitter() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        for (width, jitter, [least, most]) in [(2.5, 0.1, [0.8, 1.25]), (0.7, 0.1, [0.7, 1.6]), (0.7, 0.0, [0.0, 0.6])]
+        {
+            let variance = |rng: &mut ChaCha8Rng| {
+                let shots = pulses(width, jitter, rng);
+                let views: Vec<(Codes<'_>, i64)> = shots.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
+                let mut sums = crate::average::PhaseSums::new(200);
+                views.iter().for_each(|(codes, at)| sums.add(*codes, *at));
+                let mean = sums.finish().expect("shots overlap");
+                moves(&views, &mean, &Dark::at_start(32), &vec![true; mean.mean.len()])
+            };
+            let seen = ((0..40).map(|_| variance(&mut rng)).sum::<f64>() / 40.0).sqrt();
+            println!("width {width}, jitter {jitter}: {seen:.4}");
+            assert!((least * 0.1..most * 0.1).contains(&seen), "{width} {jitter}: {seen}");
+        }
+    }
 
     /// Noise of a step or less, at any level between two: its median deviation is 0 or 1 step, whatever its sd. Steps
     /// are of one code, or of 16.

@@ -148,8 +148,9 @@ struct Tools {
     filter: Option<(Alike, f64, Wiener)>,
 }
 
-/// What an averaged response depends on: sensor and range, time step, length, and phases of the shots.
-type Alike = (SensorRange, u64, usize, Option<Vec<i32>>);
+/// What an averaged response depends on: sensor and range, time step, length, where its ends are cut off, and phases of
+/// the shots.
+type Alike = (SensorRange, u64, usize, u64, Option<Vec<i32>>);
 
 /// A profile made ready.
 struct Ready {
@@ -168,7 +169,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 12;
+    const VERSION: u32 = 13;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -416,7 +417,8 @@ impl Tools {
     fn take_up(&mut self, key: SensorRange, sensor: &Calibrated, profile: &Profile) -> Alike {
         let Profile { dt_ps, mean_v, phase_shots, .. } = profile;
         // Only shares of shots matter, but whole numbers compare exactly.
-        let alike = (key, dt_ps.to_bits(), mean_v.len(), phase_shots.clone());
+        let alike =
+            (key, dt_ps.to_bits(), mean_v.len(), calibration::cut_share(profile).to_bits(), phase_shots.clone());
         if self.response.as_ref().is_none_or(|(of, _)| *of != alike) {
             self.response = Some((alike.clone(), Arc::new(sensor.averaged(profile))));
         }

@@ -95,7 +95,7 @@ pub struct Context {
 
 impl Stage for Locate {
     const KIND: &'static str = "locate";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },

@@ -59,7 +59,7 @@ pub struct Context(BTreeMap<SensorRange, Sensor>);
 
 impl Stage for Measure {
     const KIND: &'static str = "measure";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
     type Input = Profile;

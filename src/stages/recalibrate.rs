@@ -94,7 +94,7 @@ pub struct State {
 
 impl Stage for Recalibrate {
     const KIND: &'static str = "recalibrate";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },

@@ -107,7 +107,7 @@ pub struct Context {
 
 impl Stage for Search {
     const KIND: &'static str = "search";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },

@@ -87,7 +87,7 @@ pub struct Sensors {
 
 impl Stage for Track {
     const KIND: &'static str = "track";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: true }];
     type Input = Profile;

@@ -35,8 +35,11 @@ pub struct Impulse {
     pub misfit_factor: f64,
     /// Standard deviation of the width, where it is above 0.
     pub width_sd_ps: Option<f64>,
-    /// Excess kurtosis of the spread that makes it wide: 0 for a Gaussian, -1 for the chords of a disk.
+    /// Excess kurtosis of the spread that makes it wide: 0 for a Gaussian, -1 for the chords of a disk, between them for
+    /// light over more disks.
     pub width_kurtosis: Option<f64>,
+    /// Relative change of its light over a standard deviation of that spread.
+    pub width_tilt: Option<f64>,
     /// Constant of the exponential tail of its light, which `width_ps` has in it; null for light without a tail.
     pub tail_ps: Option<f64>,
     /// The best two points in the place of an impulse that is wider than 0.
@@ -66,7 +69,7 @@ pub struct ImpulsePair {
 }
 
 const REQUIRED: usize = 8;
-const CELLS: usize = 19;
+const CELLS: usize = 20;
 /// The first are never null.
 const IMPULSE_FIELDS: [&str; CELLS] = [
     "time_ps",
@@ -79,6 +82,7 @@ const IMPULSE_FIELDS: [&str; CELLS] = [
     "misfit_factor",
     "width_sd_ps",
     "width_kurtosis",
+    "width_tilt",
     "tail_ps",
     "pair_first_ps",
     "pair_second_ps",
@@ -104,6 +108,7 @@ impl Impulse {
             Some(self.misfit_factor),
             self.width_sd_ps,
             self.width_kurtosis,
+            self.width_tilt,
             self.tail_ps,
             of_pair(|pair| pair.first_ps),
             of_pair(|pair| pair.second_ps),
@@ -129,6 +134,7 @@ impl Impulse {
             factor,
             width_sd_ps,
             width_kurtosis,
+            width_tilt,
             tail_ps,
             pair @ ..,
         ] = *cells;
@@ -155,6 +161,7 @@ impl Impulse {
             misfit_factor: factor?,
             width_sd_ps,
             width_kurtosis,
+            width_tilt,
             tail_ps,
             pair: pair_of(pair),
         })

@@ -84,7 +84,7 @@ fn the_mean_of_an_undersampled_pulse_is_the_averaged_response() {
         kept.iter().for_each(|(bytes, position)| sums.add(Codes::I16(bytes), *position));
         let mean = sums.finish().unwrap();
         let phases: Vec<i32> = sums.phase_shots().into_iter().map(|shots| shots as i32).collect();
-        let averaged = averaged_response(&response, 1.0, &phases);
+        let averaged = averaged_response(&response, 1.0, &phases, 1e-4);
         let (mut worst, mut raw) = (0.0_f64, 0.0_f64);
         for (i, value) in mean.mean.iter().enumerate().skip(20).take(80) {
             let t = (mean.first_position + i as i64) as f64 - 60.3;
@@ -93,8 +93,13 @@ fn the_mean_of_an_undersampled_pulse_is_the_averaged_response() {
         }
         assert!(worst < 1e-3 && raw > 5.0 * worst, "{shots} shots over {spread} phases: {worst}, without {raw}");
     }
+    // Of a strong pulse the ends of it show too.
+    let all = vec![1; 64];
+    let support_ps = |negligible: f64| averaged_response(&response, 1.0, &all, negligible).support_ps();
+    let (short, long) = (support_ps(1e-4), support_ps(1e-6));
+    assert!(long.0 < short.0 - 2.0 && long.1 > short.1 + 2.0, "{short:?} {long:?}");
     let on_grid: Vec<i32> = (0..64).map(|phase| if phase == 0 { 7 } else { 0 }).collect();
-    assert_eq!(averaged_response(&response, 1.0, &on_grid).value(0.3), response.value(0.3));
+    assert_eq!(averaged_response(&response, 1.0, &on_grid, 1e-4).value(0.3), response.value(0.3));
 }
 
 #[test]

@@ -213,7 +213,7 @@ impl Width {
     fn of(fitter: &Fitter, state: &State, r: usize, stretch: f64, sd: f64) -> Option<Self> {
         let group = fitter.group_of(r);
         let direction = |(other, record): (usize, &super::model::WhitenedRecord)| {
-            let pulses = (0..state.pulses()).filter(|k| other == r && state.place(*k).shapes == 0);
+            let pulses = (0..state.pulses()).filter(|k| other == r && state.place(*k).shapes() == 0);
             let column = |k: usize| (state.amplitude_of(group, k), Column::stretching(record, state.time_ps(k)));
             (1.0, Column::sum(pulses.map(column), record.len()))
         };

@@ -10,13 +10,13 @@ pub(super) struct Column {
     first: usize,
     /// Value and derivative by the time.
     samples: Vec<[f64; 2]>,
-    /// Derivatives by variance and tail; empty for a point.
-    shape: Vec<[f64; 2]>,
+    /// Derivatives by the variance, by kurtosis or tail, and by the tilt; empty for a point.
+    shape: Vec<[f64; 3]>,
 }
 
 impl Column {
     pub(super) fn new(record: &WhitenedRecord, place: &Place) -> Self {
-        if place.shapes == 0 {
+        if place.shapes() == 0 {
             return Self::of_point(record, place.time_ps, |after_ps| {
                 let (value, slope) = record.response.value_and_slope(after_ps);
                 [value, -slope]
@@ -26,8 +26,8 @@ impl Column {
         let after_ps = record.t0_ps + range.start as f64 * record.dt_ps - place.time_ps;
         let both = place.samples(record.response, record.width_ps, after_ps, record.dt_ps, range.len());
         let (first, both) = whitened(record, range, both);
-        let samples = both.iter().map(|[value, by_time, _, _]| [*value, *by_time]).collect();
-        let shape = both.iter().map(|[_, _, by_variance, by_tail]| [*by_variance, *by_tail]).collect();
+        let samples = both.iter().map(|[value, by_time, ..]| [*value, *by_time]).collect();
+        let shape = both.iter().map(|[_, _, shape @ ..]| *shape).collect();
         Self { first, samples, shape }
     }
 
@@ -66,7 +66,8 @@ impl Column {
     }
 
     /// Adds products of two columns to the block of `products` (rows of `n`) that starts at `corner`; the rows are this
-    /// column's. Each column takes part with the first `counts` of (value, derivatives by time, variance, tail).
+    /// column's. Each column takes part with the first `counts` of (value, derivatives by time, variance, kurtosis or tail,
+    /// tilt).
     pub(super) fn add_products(
         &self,
         other: &Self,
@@ -75,20 +76,20 @@ impl Column {
         n: usize,
         corner: (usize, usize),
     ) {
-        let mut write = |p: usize, q: usize, block: [[f64; 2]; 2]| {
-            for row in p..counts.0.min(p + 2) {
-                for column in q..counts.1.min(q + 2) {
-                    products[(corner.0 + row) * n + corner.1 + column] += block[row - p][column - q];
+        let mut write = |p: usize, q: usize, rows: &[&[f64]]| {
+            for (row, block) in (p..counts.0).zip(rows) {
+                for (column, product) in (q..counts.1).zip(*block) {
+                    products[(corner.0 + row) * n + corner.1 + column] += product;
                 }
             }
         };
-        write(0, 0, dot(self.first, &self.samples, other.first, &other.samples));
+        write(0, 0, &dot(self.first, &self.samples, other.first, &other.samples).each_ref().map(|row| &row[..]));
         if !self.shape.is_empty() {
-            write(2, 0, dot(self.first, &self.shape, other.first, &other.samples));
+            write(2, 0, &dot(self.first, &self.shape, other.first, &other.samples).each_ref().map(|row| &row[..]));
         }
         if !other.shape.is_empty() {
-            write(0, 2, dot(self.first, &self.samples, other.first, &other.shape));
-            write(2, 2, dot(self.first, &self.shape, other.first, &other.shape));
+            write(0, 2, &dot(self.first, &self.samples, other.first, &other.shape).each_ref().map(|row| &row[..]));
+            write(2, 2, &dot(self.first, &self.shape, other.first, &other.shape).each_ref().map(|row| &row[..]));
         }
     }
 
@@ -114,16 +115,15 @@ impl Column {
     }
 
     /// Products of value and derivatives with a whitened record.
-    pub(super) fn dot_record(&self, record: &[f64]) -> [f64; 4] {
+    pub(super) fn dot_record(&self, record: &[f64]) -> [f64; 5] {
         let record = &record[self.range()];
-        let mut sums = [0.0; 4];
+        let mut sums = [0.0; 5];
         for (c, z) in self.samples.iter().zip(record) {
             sums[0] += c[0] * z;
             sums[1] += c[1] * z;
         }
         for (c, z) in self.shape.iter().zip(record) {
-            sums[2] += c[0] * z;
-            sums[3] += c[1] * z;
+            (0..3).for_each(|p| sums[2 + p] += c[p] * z);
         }
         sums
     }
@@ -175,16 +175,21 @@ fn whitened<const P: usize>(
     (first, samples)
 }
 
-/// The four products of two runs of pairs of values that start at their samples `first`; the first index is a's.
+/// The products of two runs of values that start at their samples `first`; the first index is a's.
 #[inline]
-fn dot(first_a: usize, a: &[[f64; 2]], first_b: usize, b: &[[f64; 2]]) -> [[f64; 2]; 2] {
+fn dot<const P: usize, const Q: usize>(
+    first_a: usize,
+    a: &[[f64; P]],
+    first_b: usize,
+    b: &[[f64; Q]],
+) -> [[f64; Q]; P] {
     let start = first_a.max(first_b);
     let end = (first_a + a.len()).min(first_b + b.len());
-    let mut sums = [[0.0; 2]; 2];
+    let mut sums = [[0.0; Q]; P];
     if start < end {
         for (a, b) in a[start - first_a..end - first_a].iter().zip(&b[start - first_b..end - first_b]) {
-            for p in 0..2 {
-                for q in 0..2 {
+            for p in 0..P {
+                for q in 0..Q {
                     sums[p][q] += a[p] * b[q];
                 }
             }

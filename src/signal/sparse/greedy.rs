@@ -2,7 +2,7 @@
 
 use super::column::Column;
 use super::model::Model;
-use super::place::Place;
+use super::place::{Place, Spread};
 use super::projection::Projection;
 use super::refine::refine;
 use super::search::{MatchedFilter, best_pair};
@@ -141,7 +141,7 @@ impl<'a> Fitter<'a> {
     /// place, if the pair explains the samples better by `evidence_min`.
     fn replacement(&self, state: &State, k: usize) -> Option<Change> {
         let place = state.fit.places[k];
-        let (misfit, variance_ps2) = match place.shapes {
+        let (misfit, variance_ps2) = match place.shapes() {
             0 => self.widening(state, k),
             _ => (self.excess(state, k), place.variance_ps2),
         };
@@ -180,7 +180,7 @@ impl<'a> Fitter<'a> {
         let most_ps = self.model.extent_max_ps;
         let place = state.fit.places[k];
         let cost = self.width_cost(state, k);
-        let best = match place.shapes {
+        let best = match place.shapes() {
             0 => {
                 let variance_ps2 = variance_ps2.clamp(0.0, 0.9 * most_ps * most_ps);
                 self.change(state, &[k], place.time_ps, &[Place::widened(place.time_ps, variance_ps2)])
@@ -191,16 +191,22 @@ impl<'a> Fitter<'a> {
         best.map(|change| Change { cost, ..change }).filter(|change| change.drop > cost)
     }
 
-    /// The better of the shapes that a widened pulse in place of the pulses `out` may have besides a Gaussian: a disk's
-    /// or one with a tail.
+    /// The best of the shapes that a widened pulse in place of the pulses `out` may have besides its own: of a Gaussian
+    /// that of disks or one with a tail, of disks that with a tilt.
     fn best_shape(&self, state: &State, out: &[usize], place: Place) -> Option<Change> {
-        if place.shapes != 1 || place.is_disk {
-            return None;
+        let shaped = |start: Place| {
+            self.change(state, out, start.time_ps, &[start]).filter(|change| self.is_within_limits(change))
+        };
+        match place.spread {
+            Spread::Gaussian => {
+                let changes = [place.of_disks(), place.tailed(self.model.extent_max_ps)].map(shaped);
+                let best = changes.into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))?;
+                let tilted = self.best_shape(state, out, *best.places.last()?);
+                tilted.filter(|tilted| tilted.drop > best.drop + WIDTH_EVIDENCE).or(Some(best))
+            }
+            Spread::Disks { .. } => shaped(place.tilted()),
+            _ => None,
         }
-        let changes = [place.of_disk(), place.tailed(self.model.extent_max_ps)].map(|start| {
-            self.change(state, out, place.time_ps, &[start]).filter(|change| self.is_within_limits(change))
-        });
-        changes.into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
     }
 
     /// A change that ends in a widened pulse in place of the pulses `out`, with a better shape for it.
@@ -335,17 +341,17 @@ impl<'a> Fitter<'a> {
         let apart_ps = state.time_ps(k) - state.time_ps(j);
         let place = Place { time_ps: state.time_ps(j) + share * apart_ps, ..state.fit.places[j] };
         let merged = |place: Place| self.change(state, &[j, k], state.time_ps(k), &[place]);
-        let point = merged(place);
+        let alike = merged(place);
         let most_ps = self.model.extent_max_ps;
         let variance_ps2 = place.variance_ps2 + share * (1.0 - share) * apart_ps * apart_ps;
-        if most_ps == 0.0 || place.shapes > 0 || !(0.0..most_ps * most_ps).contains(&variance_ps2) {
-            return point;
+        if most_ps == 0.0 || !(0.0..most_ps * most_ps).contains(&variance_ps2) {
+            return alike;
         }
         let extended =
             merged(Place::widened(place.time_ps, variance_ps2)).filter(|change| self.is_within_limits(change));
         let worse = extended.as_ref().filter(|change| -change.drop > self.evidence_min);
         let reshaped = worse.and_then(|change| self.reshaped(state, &[j, k], change));
-        [point, extended, reshaped].into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
+        [alike, extended, reshaped].into_iter().flatten().max_by(|a, b| a.drop.total_cmp(&b.drop))
     }
 
     /// Takes out pulses, and parameters of their shape, not worth their evidence, the weakest first. The state that
@@ -370,13 +376,13 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// The first pulse whose last parameter of shape, or disk in place of a Gaussian, is not worth its evidence,
-    /// without it.
+    /// The first pulse whose last parameter of shape is not worth its evidence, without it.
     fn simpler(&self, state: &State) -> Option<Change> {
-        let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| place.shapes > 0);
+        let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| place.shapes() > 0);
         extended.find_map(|(k, place)| {
-            let less = match place.shapes {
-                1 if !place.is_disk => Place::point(place.time_ps),
+            let less = match place.spread {
+                Spread::Gaussian => Place::point(place.time_ps),
+                Spread::TiltedDisks { kurtosis, .. } => Place { spread: Spread::Disks { kurtosis }, ..*place },
                 _ => Place::widened(place.time_ps, place.variance_ps2),
             };
             let cost = self.width_cost(state, k);

@@ -110,7 +110,7 @@ pub struct SparseOptions {
     pub signed: bool,
     /// Largest sd (ps) of the spread in time of one pulse's light, as extended patches give; 0 for points only. Where
     /// the samples are better explained so, a pulse is widened by a Gaussian of sd up to this; where that is not
-    /// enough, by the chords of a disk in its place, or also by an exponential tail. What looks wider still is taken
+    /// enough, by what disks make of it, or also by an exponential tail. What looks wider still is taken
     /// for two pulses; two closer than twice this may be taken for one, and are kept as its [`Pulse::pair`].
     pub extent_max_ps: f64,
     /// Standard deviation of the logarithm of the response's width, over what it is, before the record is seen.
@@ -140,8 +140,10 @@ pub struct Pulse {
     pub time_ps: f64,
     /// Standard deviation of the spread of its light without its tail, ps; 0 for a point.
     pub width_ps: f64,
-    /// Excess kurtosis of that spread: 0 for a Gaussian, -1 for the chords of a disk.
+    /// Excess kurtosis of that spread: 0 for a Gaussian, -1 for the chords of a disk, between them for more disks.
     pub kurtosis: f64,
+    /// Relative change of the light over a standard deviation of that spread: what is nearer is brighter.
+    pub tilt: f64,
     /// Standard deviation of `width_ps`, to first order.
     pub width_sd_ps: f64,
     /// Constant of the exponential tail of its light, ps; 0 for none.

@@ -164,7 +164,7 @@ impl ResponseErrors {
         let direction = |(j, shape): (usize, &Response)| {
             let shape = averaged(shape);
             // A pulse that is spread in time tells nothing of the width.
-            let tells = |k: &usize| j > 0 || state.place(*k).shapes == 0;
+            let tells = |k: &usize| j > 0 || state.place(*k).shapes() == 0;
             let column = |k: usize| (state.amplitude(k), Column::of_shape(record, state.time_ps(k), &shape));
             Column::sum((0..state.pulses()).filter(tells).map(column), record.len())
         };

@@ -50,7 +50,7 @@ impl Fitter<'_> {
     /// For each pulse that is widened the best pair of points in its place; `None` for points, and where no pair stands
     /// by itself.
     pub(super) fn pairs(&self, state: &State) -> Vec<Option<PairFit>> {
-        let is_widened = |k: &usize| state.place(*k).shapes > 0;
+        let is_widened = |k: &usize| state.place(*k).shapes() > 0;
         (0..state.pulses()).map(|k| Some(k).filter(is_widened).and_then(|k| self.runner_up(state, k))).collect()
     }
 

@@ -1,13 +1,17 @@
 //! Where the light of a pulse lies and how it is spread in time, and what the spread makes of a response.
 //!
-//! Light from an extended patch arrives over an interval: a Gaussian of variance `v`; where that does not suffice, the
-//! chords of a disk, of variance `v` too, or a Gaussian with a one-sided exponential tail of constant `tau`. All are
+//! Light from an extended patch arrives over an interval: a Gaussian of variance `v`; where that does not suffice, what
+//! disks make of it, of variance `v` too, or a Gaussian with a one-sided exponential tail of constant `tau`. All are
 //! centred, so that the time of a place is the centroid of the light in every case. The variance is the parameter, not
 //! its root: by the heat equation the derivative of the widened response by `v` is half its second derivative, regular
 //! down to a point at `v = 0`.
 //!
 //! An evenly lit disk has as much light at each distance as its chord is long: within twice its standard deviation to
-//! either side, `sqrt(1 - x^2 / 4 v)` of it, with an excess kurtosis of -1. Of strong pulses that shows.
+//! either side, `sqrt(1 - x^2 / 4 v)` of it, with an excess kurtosis of -1. Light over two disks has one from -1 to
+//! -1/2, over three from -1 to -1/3, by their shares of the variance. Symmetric beta distributions have each of these:
+//! `(1 - x^2 / r^2)^(a - 1)`, of excess kurtosis `k = -6 / (2 a + 3)`, are a disk's chords at -1 and a Gaussian at 0, and
+//! their sixth moments lie within 2 % of those of light over two disks. What is nearer is brighter: a factor `e^(b x)`
+//! tilts the light. Of strong pulses both show.
 
 use super::Response;
 use std::ops::Range;
@@ -21,26 +25,43 @@ const STEP_WIDTHS: f64 = 0.25;
 const PANEL_WIDTHS: f64 = 0.5;
 /// Nodes of a Gaussian that neighbouring samples share are no nearer than the time between samples over this.
 const PARTS_MAX: f64 = 8.0;
-/// Least parts of a disk's half circle that its nodes lie between.
+/// Least parts of the half circle between whose ends a standard deviation of light from disks lies.
 const DISK_PARTS: f64 = 6.0;
+/// Excess kurtosis of light from disks to start from, that over two of them; the largest, which is as good as a
+/// Gaussian's; and the step of derivatives by it and by the tilt.
+const DISKS_START: f64 = -0.5;
+const DISKS_MAX: f64 = -0.05;
+const SHAPE_STEP: f64 = 1e-3;
+/// Largest tilt: light that changes by more over a patch is of more than one.
+const TILT_MAX: f64 = 0.05;
 /// A tail starts from this part of the largest allowed, and falls to no less than the second: below it is no different
 /// from none.
 const TAIL_START: f64 = 0.3;
 const TAIL_MIN: f64 = 1e-3;
+
+/// How the light of a pulse is spread.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Spread {
+    /// Not at all.
+    Point,
+    /// By a Gaussian.
+    Gaussian,
+    /// As light over disks, by a symmetric beta distribution of this excess kurtosis.
+    Disks { kurtosis: f64 },
+    /// The same, tilted: the relative change of the light over a standard deviation.
+    TiltedDisks { kurtosis: f64, tilt: f64 },
+    /// By a Gaussian with an exponential tail of this constant, ps.
+    Tail { tail_ps: f64 },
+}
 
 /// Centroid and spread of a pulse's light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Place {
     /// Centroid, ps.
     pub(super) time_ps: f64,
-    /// Variance of the Gaussian, or of the disk's chords, ps^2.
+    /// Variance of the Gaussian, or of what disks make, ps^2.
     pub(super) variance_ps2: f64,
-    /// Whether the light is spread as that of a disk.
-    pub(super) is_disk: bool,
-    /// Constant of the exponential tail, ps.
-    pub(super) tail_ps: f64,
-    /// Number of shape parameters that are free: none (a point), the variance, or both.
-    pub(super) shapes: usize,
+    pub(super) spread: Spread,
     /// Whether the time is held where it is.
     pub(super) is_pinned: bool,
 }
@@ -58,40 +79,57 @@ pub(super) struct Node {
 impl Place {
     /// A point.
     pub(super) fn point(time_ps: f64) -> Self {
-        Self { time_ps, variance_ps2: 0.0, is_disk: false, tail_ps: 0.0, shapes: 0, is_pinned: false }
+        Self { time_ps, variance_ps2: 0.0, spread: Spread::Point, is_pinned: false }
     }
 
     /// A Gaussian.
     pub(super) fn widened(time_ps: f64, variance_ps2: f64) -> Self {
-        Self { variance_ps2, shapes: 1, ..Self::point(time_ps) }
+        Self { variance_ps2, spread: Spread::Gaussian, ..Self::point(time_ps) }
     }
 
     /// Where a fitted pulse is.
     pub(super) fn of(pulse: &super::Pulse) -> Self {
-        let shapes = if pulse.tail_ps > 0.0 { 2 } else { usize::from(pulse.width_ps > 0.0) };
-        Self {
-            variance_ps2: pulse.width_ps * pulse.width_ps,
-            is_disk: pulse.kurtosis < 0.0,
-            tail_ps: pulse.tail_ps,
-            shapes,
-            ..Self::point(pulse.time_ps)
+        let spread = match pulse {
+            _ if pulse.tail_ps > 0.0 => Spread::Tail { tail_ps: pulse.tail_ps },
+            _ if pulse.width_ps == 0.0 => Spread::Point,
+            _ if pulse.tilt != 0.0 => Spread::TiltedDisks { kurtosis: pulse.kurtosis.min(DISKS_MAX), tilt: pulse.tilt },
+            _ if pulse.kurtosis < 0.0 => Spread::Disks { kurtosis: pulse.kurtosis.min(DISKS_MAX) },
+            _ => Spread::Gaussian,
+        };
+        Self { variance_ps2: pulse.width_ps * pulse.width_ps, spread, ..Self::point(pulse.time_ps) }
+    }
+
+    /// Number of free parameters of its shape: the variance; the kurtosis of disks or the constant of a tail; the tilt.
+    pub(super) fn shapes(&self) -> usize {
+        match self.spread {
+            Spread::Point => 0,
+            Spread::Gaussian => 1,
+            Spread::Disks { .. } | Spread::Tail { .. } => 2,
+            Spread::TiltedDisks { .. } => 3,
+        }
+    }
+
+    /// Constant of its exponential tail, ps; 0 for none.
+    pub(super) fn tail_ps(&self) -> f64 {
+        match self.spread {
+            Spread::Tail { tail_ps } => tail_ps,
+            _ => 0.0,
         }
     }
 
     /// Samples of a record of `len` that the spread response reaches.
     pub(super) fn reach(&self, response: &Response, t0_ps: f64, dt_ps: f64, len: usize) -> Range<usize> {
-        let side_ps = REACH_SD * self.variance_ps2.sqrt();
-        let tail_ps = if self.shapes < 2 { 0.0 } else { self.tail_ps };
+        let (side_ps, tail_ps) = (REACH_SD * self.variance_ps2.sqrt(), self.tail_ps());
         let from = response.reach(self.time_ps - side_ps - tail_ps, t0_ps, dt_ps, len);
         let to = response.reach(self.time_ps + side_ps + (REACH_TAILS - 1.0) * tail_ps, t0_ps, dt_ps, len);
         from.start..to.end
     }
 
-    /// The spread response and its derivatives, as [`spread_response`] has them, at `count` times `dt_ps` apart, the
-    /// first `after_ps` after the centroid.
+    /// The spread response and its derivatives by the centroid, the variance, the kurtosis of disks or the tail's
+    /// constant, and the tilt, at `count` times `dt_ps` apart, the first `after_ps` after the centroid.
     ///
     /// Nodes of the Gaussian lie a whole part of `dt_ps` apart, so that neighbouring samples share what they need of
-    /// the response. A Gaussian far narrower than that, and a disk, has its own nodes at each sample.
+    /// the response. A Gaussian far narrower than that, and light of disks, has its own nodes at each sample.
     pub(super) fn samples(
         &self,
         response: &Response,
@@ -99,13 +137,16 @@ impl Place {
         after_ps: f64,
         dt_ps: f64,
         count: usize,
-    ) -> Vec<[f64; 4]> {
+    ) -> Vec<[f64; 5]> {
         let sd_ps = self.variance_ps2.sqrt();
         let parts = (dt_ps / sd_ps.min(STEP_WIDTHS * width_ps)).ceil();
         if sd_ps == 0.0 || count == 0 {
             return self.tailed_samples(response, width_ps, after_ps, dt_ps, count);
         }
-        if self.is_disk || parts > PARTS_MAX {
+        if self.kurtosis() < 0.0 {
+            return self.disk_samples(response, width_ps, after_ps, dt_ps, count);
+        }
+        if parts > PARTS_MAX {
             let nodes = self.nodes(width_ps);
             return (0..count).map(|n| spread_response(response, &nodes, after_ps + n as f64 * dt_ps)).collect();
         }
@@ -122,11 +163,39 @@ impl Place {
             (count - 1) * parts + weights.len(),
         );
         let sample = |n: usize| {
-            let mut sum = [0.0; 4];
+            let mut sum = [0.0; 5];
             for (weight, one) in weights.iter().zip(&fine[n * parts..]) {
-                (0..4).for_each(|k| sum[k] += weight * one[k]);
+                (0..5).for_each(|k| sum[k] += weight * one[k]);
             }
             sum
+        };
+        (0..count).map(sample).collect()
+    }
+
+    /// The same of light over disks.
+    fn disk_samples(
+        &self,
+        response: &Response,
+        width_ps: f64,
+        after_ps: f64,
+        dt_ps: f64,
+        count: usize,
+    ) -> Vec<[f64; 5]> {
+        let (kurtosis, tilt) = (self.kurtosis(), self.tilt());
+        let nodes = self.disk_nodes(kurtosis, tilt, width_ps);
+        let steps = [-SHAPE_STEP, SHAPE_STEP];
+        let of_kurtosis = steps.map(|step| self.disk_nodes(kurtosis + step, tilt, width_ps));
+        // Without a free tilt, nothing asks for its derivative.
+        let of_tilt = (self.shapes() > 2).then(|| steps.map(|step| self.disk_nodes(kurtosis, tilt + step, width_ps)));
+        let value = |nodes: &[Node], at: f64| -> f64 {
+            nodes.iter().map(|node| node.weight * response.value(at - node.after_ps)).sum()
+        };
+        let change = |[less, more]: &[Vec<Node>; 2], at: f64| (value(more, at) - value(less, at)) / (2.0 * SHAPE_STEP);
+        let sample = |n: usize| {
+            let at = after_ps + n as f64 * dt_ps;
+            let [whole, by_time, by_variance, ..] = spread_response(response, &nodes, at);
+            let by_tilt = of_tilt.as_ref().map_or(0.0, |nodes| change(nodes, at));
+            [whole, by_time, by_variance, change(&of_kurtosis, at), by_tilt]
         };
         (0..count).map(sample).collect()
     }
@@ -145,14 +214,14 @@ impl Place {
         after_ps: f64,
         dt_ps: f64,
         count: usize,
-    ) -> Vec<[f64; 4]> {
-        let tail_ps = if self.shapes < 2 { 0.0 } else { self.tail_ps };
+    ) -> Vec<[f64; 5]> {
+        let tail_ps = self.tail_ps();
         let at =
             |n: usize, u: f64| response.value_slope_and_curvature(after_ps + n as f64 * dt_ps - (u - 1.0) * tail_ps);
-        if self.shapes < 2 {
+        if tail_ps == 0.0 {
             let sample = |n: usize| {
                 let [value, slope, curvature] = at(n, 1.0);
-                [value, -slope, 0.5 * curvature, 0.0]
+                [value, -slope, 0.5 * curvature, 0.0, 0.0]
             };
             return (0..count).map(sample).collect();
         }
@@ -175,73 +244,103 @@ impl Place {
                 let carried = [state[0], state[1], state[2], state[3] + step * state[1]];
                 state = [0, 1, 2, 3].map(|k| kept * carried[k] + new[k]);
             }
-            samples.push([state[0], -state[1], 0.5 * state[2], state[1] - state[3]]);
+            samples.push([state[0], -state[1], 0.5 * state[2], state[1] - state[3], 0.0]);
         }
         samples
     }
 
-    /// As the chords of a disk of the same variance.
-    pub(super) fn of_disk(self) -> Self {
-        Self { is_disk: true, ..self }
+    /// As light over disks, to start from.
+    pub(super) fn of_disks(self) -> Self {
+        Self { spread: Spread::Disks { kurtosis: DISKS_START }, ..self }
+    }
+
+    /// The same with a tilt of its light that is free.
+    pub(super) fn tilted(self) -> Self {
+        Self { spread: Spread::TiltedDisks { kurtosis: self.kurtosis(), tilt: 0.0 }, ..self }
     }
 
     /// Excess kurtosis of the spread without its tail: 0 for a Gaussian, -1 for a disk.
     pub(super) fn kurtosis(&self) -> f64 {
-        if self.is_disk { -1.0 } else { 0.0 }
+        match self.spread {
+            Spread::Disks { kurtosis } | Spread::TiltedDisks { kurtosis, .. } => kurtosis,
+            _ => 0.0,
+        }
+    }
+
+    /// Relative change of its light over a standard deviation of the spread.
+    pub(super) fn tilt(&self) -> f64 {
+        match self.spread {
+            Spread::TiltedDisks { tilt, .. } => tilt,
+            _ => 0.0,
+        }
     }
 
     /// With a tail besides its variance, to start from.
     pub(super) fn tailed(self, extent_max_ps: f64) -> Self {
-        Self { tail_ps: TAIL_START * extent_max_ps, shapes: 2, ..self }
+        Self { spread: Spread::Tail { tail_ps: TAIL_START * extent_max_ps }, ..self }
     }
 
     /// Number of free parameters.
     pub(super) fn parameters(&self) -> usize {
-        1 + self.shapes
+        1 + self.shapes()
     }
 
     /// Moved by `step` along its free parameters: time by no more than `step_max_ps`, the shape within its limits.
     pub(super) fn moved(mut self, step: &[f64], step_max_ps: f64, extent_max_ps: f64) -> Self {
         self.time_ps += step[0].clamp(-step_max_ps, step_max_ps);
-        if self.shapes > 0 {
+        if self.shapes() > 0 {
             self.variance_ps2 = (self.variance_ps2 + step[1]).clamp(0.0, extent_max_ps * extent_max_ps);
         }
-        if self.shapes > 1 {
-            self.tail_ps = (self.tail_ps + step[2]).clamp(TAIL_MIN * extent_max_ps, extent_max_ps);
+        match &mut self.spread {
+            Spread::Disks { kurtosis } => *kurtosis = (*kurtosis + step[2]).clamp(-1.0, DISKS_MAX),
+            Spread::TiltedDisks { kurtosis, tilt } => {
+                *kurtosis = (*kurtosis + step[2]).clamp(-1.0, DISKS_MAX);
+                *tilt = (*tilt + step[3]).clamp(-TILT_MAX, TILT_MAX);
+            }
+            Spread::Tail { tail_ps } => {
+                *tail_ps = (*tail_ps + step[2]).clamp(TAIL_MIN * extent_max_ps, extent_max_ps);
+            }
+            Spread::Point | Spread::Gaussian => {}
         }
         self
     }
 
     /// Whether parameter `p`, pulled along `gradient`, is held back: a time that is pinned, a shape at its limit.
     pub(super) fn is_held(&self, p: usize, gradient: f64, extent_max_ps: f64) -> bool {
-        let (value, least, most) = match p {
-            0 => return self.is_pinned,
-            1 => (self.variance_ps2, 0.0, extent_max_ps * extent_max_ps),
-            _ => (self.tail_ps, TAIL_MIN * extent_max_ps, extent_max_ps),
+        let (value, least, most) = match (p, self.spread) {
+            (0, _) => return self.is_pinned,
+            (1, _) => (self.variance_ps2, 0.0, extent_max_ps * extent_max_ps),
+            (3, _) => (self.tilt(), -TILT_MAX, TILT_MAX),
+            (_, Spread::Disks { kurtosis } | Spread::TiltedDisks { kurtosis, .. }) => (kurtosis, -1.0, DISKS_MAX),
+            _ => (self.tail_ps(), TAIL_MIN * extent_max_ps, extent_max_ps),
         };
         (value <= least && gradient < 0.0) || (value >= most && gradient > 0.0)
     }
 
-    /// Whether its spread is as large as is allowed: then it is more likely something else.
+    /// Whether its spread, or its tilt, is as large as is allowed: then it is more likely something else.
     pub(super) fn is_at_limit(&self, extent_max_ps: f64) -> bool {
-        self.variance_ps2 >= extent_max_ps * extent_max_ps || self.tail_ps >= extent_max_ps
+        let is_wide = self.variance_ps2 >= extent_max_ps * extent_max_ps || self.tail_ps() >= extent_max_ps;
+        is_wide || self.tilt().abs() >= TILT_MAX
     }
 
-    /// Nodes that stand for the spread.
+    /// Nodes that stand for light over disks of its variance.
+    fn disk_nodes(&self, kurtosis: f64, tilt: f64, width_ps: f64) -> Vec<Node> {
+        let node = |(after_ps, weight): (f64, f64)| {
+            // Each stays at its share of the radius: it moves by its distance over twice the variance.
+            let moves = -weight * after_ps / (2.0 * self.variance_ps2);
+            Node { after_ps, weight, by_variance: [moves, 0.0], by_tail: 0.0 }
+        };
+        beta_nodes(self.variance_ps2.sqrt(), [kurtosis, tilt], STEP_WIDTHS * width_ps).into_iter().map(node).collect()
+    }
+
+    /// Nodes that stand for the Gaussian and the tail.
     pub(super) fn nodes(&self, width_ps: f64) -> Vec<Node> {
-        let (sd_ps, step_ps) = (self.variance_ps2.sqrt(), STEP_WIDTHS * width_ps);
+        let gaussian = gaussian_nodes(self.variance_ps2.sqrt(), STEP_WIDTHS * width_ps);
         let node = |(after_ps, weight)| Node { after_ps, weight, by_variance: [0.0, 0.5 * weight], by_tail: 0.0 };
-        if self.is_disk && sd_ps > 0.0 {
-            // Each chord stays at its share of the radius: it moves by its distance over twice the variance.
-            let moves = |(x, weight): (f64, f64)| [-weight * x / (2.0 * self.variance_ps2), 0.0];
-            let nodes = disk_nodes(sd_ps, step_ps).into_iter();
-            return nodes.map(|at| Node { by_variance: moves(at), ..node(at) }).collect();
-        }
-        let gaussian = gaussian_nodes(sd_ps, step_ps);
-        if self.shapes < 2 {
+        let tail_ps = self.tail_ps();
+        if tail_ps == 0.0 {
             return gaussian.into_iter().map(node).collect();
         }
-        let tail_ps = self.tail_ps;
         let tail = tail_nodes(PANEL_WIDTHS * width_ps / tail_ps, REACH_TAILS);
         let both = |&(x, weight): &(f64, f64)| {
             // Later light by u - 1 constants: the centroid stays.
@@ -256,16 +355,23 @@ impl Place {
     }
 }
 
-/// Nodes and weights of the chords of a disk of sd `sd_ps`, no farther apart than `step_max_ps`: Gauss and Chebyshev's
-/// rule of the second kind, whose weight is the chord.
-fn disk_nodes(sd_ps: f64, step_max_ps: f64) -> Vec<(f64, f64)> {
-    let radius_ps = 2.0 * sd_ps;
-    let parts = (std::f64::consts::PI * radius_ps / step_max_ps).ceil().max(DISK_PARTS);
+/// Nodes and weights of a symmetric beta distribution of sd `sd_ps`, this excess kurtosis and this tilt, no farther
+/// apart than `step_max_ps`: the trapezoidal rule over the half circle, which for a disk's chords is Gauss and
+/// Chebyshev's of the second kind. The sum of the weights, the centroid and the variance are exact.
+fn beta_nodes(sd_ps: f64, [kurtosis, tilt]: [f64; 2], step_max_ps: f64) -> Vec<(f64, f64)> {
+    let a = -3.0 / kurtosis - 1.5;
+    let radius = (2.0 * a + 1.0).sqrt();
+    let parts = (std::f64::consts::PI * radius * (sd_ps / step_max_ps)).max(DISK_PARTS * radius).ceil();
     let node = |i: i32| {
         let (sine, cosine) = (std::f64::consts::PI * f64::from(i) / parts).sin_cos();
-        (radius_ps * cosine, 2.0 / parts * sine * sine)
+        (cosine, sine.powf(2.0 * a - 1.0) * (tilt * radius * cosine).exp())
     };
-    (1..parts as i32).map(node).collect()
+    let nodes: Vec<(f64, f64)> = (1..parts as i32).map(node).collect();
+    let total: f64 = nodes.iter().map(|(_, weight)| weight).sum();
+    let centroid = nodes.iter().map(|(x, weight)| x * weight).sum::<f64>() / total;
+    let variance = nodes.iter().map(|(x, weight)| (x - centroid).powi(2) * weight).sum::<f64>() / total;
+    let scale_ps = sd_ps / variance.sqrt();
+    nodes.into_iter().map(|(x, weight)| (scale_ps * (x - centroid), weight / total)).collect()
 }
 
 /// Nodes and weights of a Gaussian of sd `sd_ps`, no farther apart than `step_max_ps` or an sd: the trapezoidal rule,
@@ -301,16 +407,17 @@ fn tail_nodes(panel_max: f64, reach: f64) -> Vec<(f64, f64)> {
     (0..panels as i32).flat_map(nodes).collect()
 }
 
-/// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance and the
-/// tail's constant.
-pub(super) fn spread_response(response: &Response, nodes: &[Node], after_ps: f64) -> [f64; 4] {
-    nodes.iter().fold([0.0; 4], |[value, by_time, by_variance, by_tail], node| {
+/// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance, the tail's
+/// constant, and a tilt, which these nodes have none of.
+pub(super) fn spread_response(response: &Response, nodes: &[Node], after_ps: f64) -> [f64; 5] {
+    nodes.iter().fold([0.0; 5], |[value, by_time, by_variance, by_tail, _], node| {
         let [h, slope, curvature] = response.value_slope_and_curvature(after_ps - node.after_ps);
         [
             value + node.weight * h,
             by_time - node.weight * slope,
             by_variance + node.by_variance[0] * slope + node.by_variance[1] * curvature,
             by_tail + node.by_tail * slope,
+            0.0,
         ]
     })
 }
@@ -335,7 +442,7 @@ mod tests {
             for t in [-130.0, -40.0, 0.0, 3.0, 70.0] {
                 let variance = SIGMA_PS * SIGMA_PS + sd * sd;
                 let expected = SIGMA_PS / variance.sqrt() * (-0.5 * t * t / variance).exp();
-                let [value, by_time, by_variance, _] = spread_response(&response, &nodes, t);
+                let [value, by_time, by_variance, ..] = spread_response(&response, &nodes, t);
                 assert!((value - expected).abs() < 3e-5, "{sd} {t}: {value} {expected}");
                 assert!((by_time - expected * t / variance).abs() < 1e-6);
                 let curvature = expected * (t * t / variance - 1.0) / variance;
@@ -344,33 +451,68 @@ mod tests {
         }
     }
 
-    /// Moments of the chords of a disk, and the derivative by the variance, as differences have them.
+    /// Moments of the chords of a disk, of light over two disks and of nearly a Gaussian.
     #[test]
-    fn a_disk_has_the_variance_and_the_kurtosis_of_its_chords() {
+    fn disks_have_their_moments() {
+        let sixth = |kurtosis: f64| {
+            let a = -3.0 / kurtosis - 1.5;
+            15.0 * (2.0 * a + 1.0).powi(2) / ((2.0 * a + 3.0) * (2.0 * a + 5.0))
+        };
+        for (kurtosis, sd) in [(-1.0, 2.0_f64), (-1.0, 150.0), (-0.5, 30.0), (-0.73, 30.0), (-0.05, 9.0)] {
+            let nodes = beta_nodes(sd, [kurtosis, 0.0], 40.0);
+            let moment = |k: i32| nodes.iter().map(|(x, weight)| weight * (x / sd).powi(k)).sum::<f64>();
+            let moments = [0, 1, 2, 4, 6].map(moment);
+            let expected = [1.0, 0.0, 1.0, 3.0 + kurtosis, sixth(kurtosis)];
+            let is_near = |(one, other): (&f64, f64)| (one - other).abs() < 2e-3;
+            assert!(moments.iter().zip(expected).all(is_near), "{kurtosis} {sd} {moments:?} {expected:?}");
+        }
+        // A tilt of 0.02 gives a skewness of `0.02 kurtosis`.
+        let nodes = beta_nodes(1.0, [-1.0, 0.02], 1.0);
+        let [first, third] = [1, 3].map(|k| nodes.iter().map(|(x, weight)| weight * x.powi(k)).sum::<f64>());
+        assert!(first.abs() < 1e-12 && (third + 0.02).abs() < 1e-4, "{first} {third}");
+        // Light over two disks of equal shares has the sixth moment 8.75.
+        assert!((sixth(-1.0) - 5.0).abs() < 1e-9 && (sixth(-0.5) / 8.75 - 1.0).abs() < 0.025);
+    }
+
+    /// Value and derivatives of light over disks, as differences have them.
+    #[test]
+    fn light_over_disks_changes_with_its_shape() {
         let response = gaussian();
-        for sd in [2.0_f64, 30.0, 150.0] {
-            let at = |variance: f64, t: f64| {
-                let nodes = Place::widened(0.0, variance).of_disk().nodes(response.width_ps());
-                spread_response(&response, &nodes, t)
+        let at = |kurtosis: f64, variance: f64, t: f64| {
+            let place = Place { spread: Spread::Disks { kurtosis }, ..Place::widened(0.0, variance) };
+            place.samples(&response, response.width_ps(), t, 50.0, 3)
+        };
+        for (sd, kurtosis, t) in [(8.0_f64, -0.5, -70.0), (45.0, -1.0, 10.0), (120.0, -0.3, -20.0)] {
+            let variance = sd * sd;
+            let own = at(kurtosis, variance, t);
+            let [less, more] = [-1e-3, 1e-3].map(|step| at(kurtosis, variance * (1.0 + step), t));
+            let tilted = |tilt: f64| {
+                let place = Place { spread: Spread::TiltedDisks { kurtosis, tilt }, ..Place::widened(0.0, variance) };
+                place.samples(&response, response.width_ps(), t, 50.0, 3)
             };
-            let nodes = Place::widened(0.0, sd * sd).of_disk().nodes(response.width_ps());
-            let moment = |k: i32| nodes.iter().map(|node| node.weight * (node.after_ps / sd).powi(k)).sum::<f64>();
-            let moments = [0, 1, 2, 4].map(moment);
-            let expected = [1.0, 0.0, 1.0, 2.0]; // an excess kurtosis of -1
-            assert!(moments.iter().zip(expected).all(|(one, other)| (one - other).abs() < 1e-9), "{sd} {moments:?}");
-            for t in [-130.0, -40.0, 3.0, 70.0] {
-                let step = 1e-3 * sd * sd;
-                let difference = (at(sd * sd + step, t)[0] - at(sd * sd - step, t)[0]) / (2.0 * step);
-                assert!((at(sd * sd, t)[2] - difference).abs() < 1e-7, "{sd} {t}");
+            let [earlier, level, later] = [-1e-2, 0.0, 1e-2].map(tilted);
+            let [flatter, higher] = [-1e-2, 1e-2].map(|step| at(kurtosis + step, variance, t));
+            for n in 0..3 {
+                let by_variance = (more[n][0] - less[n][0]) / (2e-3 * variance);
+                let by_kurtosis = (higher[n][0] - flatter[n][0]) / 2e-2;
+                assert!((own[n][2] - by_variance).abs() < 1e-3 / variance, "{sd} {n}: {} {by_variance}", own[n][2]);
+                let by_tilt = (later[n][0] - earlier[n][0]) / 2e-2;
+                assert!((level[n][4] - by_tilt).abs() < 1e-5 && (level[n][0] - own[n][0]).abs() < 1e-12);
+                let near = 1e-5 + 0.02 * by_kurtosis.abs();
+                assert!((own[n][3] - by_kurtosis).abs() < near, "{sd} {n}: {} {by_kurtosis}", own[n][3]);
             }
         }
+        // Nearly a Gaussian, and a point, which has no shape.
+        let gaussian = Place::widened(0.0, 900.0).samples(&response, response.width_ps(), 20.0, 50.0, 3);
+        assert!(gaussian.iter().zip(at(-0.05, 900.0, 20.0)).all(|(one, other)| (one[0] - other[0]).abs() < 1e-3));
+        assert!(at(-0.5, 0.0, 10.0).iter().flatten().all(|value| value.is_finite()));
     }
 
     /// Area 1, centroid at the time, variance and third moment of the tail; its derivative is that of the value.
     #[test]
     fn a_tail_keeps_the_centroid() {
         let response = gaussian();
-        let place = |tail_ps: f64| Place { tail_ps, shapes: 2, ..Place::widened(0.0, 400.0) };
+        let place = |tail_ps: f64| Place { spread: Spread::Tail { tail_ps }, ..Place::widened(0.0, 400.0) };
         for tail in [0.1, 10.0, 80.0] {
             let nodes = place(tail).nodes(response.width_ps());
             let moment = |k: i32| nodes.iter().map(|node| node.weight * node.after_ps.powi(k)).sum::<f64>();
@@ -394,8 +536,8 @@ mod tests {
             [(0.3, 20.0, 50.0), (30.0, 0.0, 50.0), (90.0, 40.0, 12.5), (200.0, 5.0, 400.0), (60.0, 130.0, 50.0)];
         let gaussians = [(0.0, 2.0, 50.0), (0.0, 33.0, 50.0), (0.0, 90.0, 7.0), (0.0, 170.0, 100.0)];
         for (tail_ps, sd_ps, dt_ps) in tails.into_iter().chain(gaussians) {
-            let shapes = if tail_ps > 0.0 { 2 } else { 1 };
-            let place = Place { tail_ps, shapes, ..Place::widened(0.0, sd_ps * sd_ps) };
+            let spread = if tail_ps > 0.0 { Spread::Tail { tail_ps } } else { Spread::Gaussian };
+            let place = Place { spread, ..Place::widened(0.0, sd_ps * sd_ps) };
             let nodes = place.nodes(response.width_ps());
             for first_ps in [-700.0, -80.0, 300.0] {
                 let samples = place.samples(&response, response.width_ps(), first_ps, dt_ps, 60);

@@ -142,8 +142,8 @@ impl Projection {
             for (columns, (record, (scale, column))) in group.columns.iter().zip(records) {
                 let met = |own: &&Column| own.overlaps(column);
                 for (k, own) in columns.iter().enumerate().filter(|(_, own)| met(own)) {
-                    let mut block = [0.0; 4];
-                    own.add_products(column, (4, 1), &mut block, 1, (0, 0));
+                    let mut block = [0.0; 5];
+                    own.add_products(column, (5, 1), &mut block, 1, (0, 0));
                     let count = 1 + self.places[k].parameters();
                     for (p, value) in block[..count].iter().enumerate() {
                         with_direction[self.layout.values[k] + p] += scale * value;

@@ -17,6 +17,9 @@ const MODEL_SHOTS_MIN: usize = 4;
 /// A coefficient within this many of its standard deviations of 0 is not claimed.
 const CLAIM_SIGMA: f64 = 2.0;
 
+/// Jitter may exceed the variance of the times of the first shots by this factor: that of 16 shots scatters by a third.
+const MOVES_MAX: f64 = 1.5;
+
 /// Rounding errors of neighbouring samples are alike where a signal moves by less than a step from one to the next, and
 /// so count for fewer: for so many times less.
 const ROUNDING_ALIKE: f64 = 4.0;
@@ -77,6 +80,18 @@ impl Judges<'_> {
         Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
     }
 
+    /// The model with no more jitter than the shots move by as a whole. Where a strong pulse is too fast for its sampling,
+    /// shots differ from the mean by more than noise, and most where it is steep.
+    fn without_false_jitter(&self, model: NoiseModel) -> NoiseModel {
+        let mut values = model.values;
+        if is_claimed(values[JITTER], &model, JITTER, 1.0) {
+            let moves = shot_spread::moves(self.shots, self.mean, self.dark, self.clear);
+            let most = MOVES_MAX * moves * self.first.dt_ps * self.first.dt_ps;
+            values[JITTER] = values[JITTER].min(most);
+        }
+        NoiseModel { values, ..model }
+    }
+
     /// Variance over shots at each place of the mean, codes squared.
     fn variances(&self, slow: Option<&Slow>) -> Vec<f64> {
         let Some(slow) = slow else { return shot_spread::spread(self.shots, self.mean, self.dark) };
@@ -124,7 +139,7 @@ impl Noise {
                 shots: shots.len(),
                 dt_ps: first.dt_ps,
             };
-            noise_model::fit(&spread)
+            noise_model::fit(&spread).map(|model| judges.without_false_jitter(model))
         });
         let slow_v2 = |slow: Slow| slow.variances.iter().map(|variance| variance * gain_v * gain_v).collect();
         let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
@@ -175,8 +190,12 @@ impl Noise {
         let model = self.model.as_ref()?;
         // Correlated samples say less than as many independent ones: variances correlate by the square.
         let alike = 1.0 + 2.0 * self.acf.iter().skip(1).map(|r| r * r).sum::<f64>();
-        let sd = (alike * model.covariance[term][term]).sqrt();
         let value = model.values[term];
-        (value - expected > CLAIM_SIGMA * sd).then_some(value)
+        is_claimed(value - expected, model, term, alike).then_some(value)
     }
+}
+
+/// Whether a coefficient exceeds what its error makes of none, where so many samples tell as much as one.
+fn is_claimed(value: f64, model: &NoiseModel, term: usize, alike: f64) -> bool {
+    value > CLAIM_SIGMA * (alike * model.covariance[term][term]).sqrt()
 }

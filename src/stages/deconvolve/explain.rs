@@ -56,6 +56,7 @@ impl Explained {
             misfit_factor: pulse.misfit_factor,
             width_sd_ps: width_sd_ps(pulse),
             width_kurtosis: (pulse.width_ps > 0.0).then_some(pulse.kurtosis),
+            width_tilt: (pulse.width_ps > 0.0).then_some(pulse.tilt),
             tail_ps: (pulse.tail_ps > 0.0).then_some(pulse.tail_ps),
             pair: pulse.pair.as_ref().map(pair),
         };

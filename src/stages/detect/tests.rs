@@ -37,6 +37,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         misfit_factor: fit.pulses[k].misfit_factor,
         width_sd_ps: None,
         width_kurtosis: None,
+        width_tilt: None,
         tail_ps: None,
         pair: None,
     };
