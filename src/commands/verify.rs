@@ -15,7 +15,7 @@ use periscope::pipeline::roots::{self, Root};
 use periscope::store::{Digest, Shelf, StageId, verify as store};
 use serde_json::{Value, json};
 
-use super::output::{Format, Output, Rows, json, note, print, say};
+use super::output::{Format, Output, Rows, count, json, note, print, say};
 
 /// Arguments of `verify`.
 #[derive(Args)]
@@ -50,7 +50,7 @@ struct Verification {
 impl Verification {
     fn add(&mut self, file: &Path, what: impl ToString, fix: impl ToString) {
         let (what, fix) = (what.to_string(), fix.to_string());
-        self.findings.push(json!({ "file": file, "what": what, "mend": fix }));
+        self.findings.push(json!({ "file": file, "what": what, "fix": fix }));
     }
 }
 
@@ -75,7 +75,7 @@ pub fn verify(args: &Verify) -> Result<ExitCode> {
             print(json(&json!({ "ok": whole, "findings": findings, "notes": notes, "looked_at": looked_at }))?)?;
         }
         Format::Csv => {
-            Rows::of(&["file", "tables", "what", "damage", "mend"], &verification.findings)?.print(Format::Csv)?;
+            Rows::of(&["file", "tables", "what", "damage", "fix"], &verification.findings)?.print(Format::Csv)?;
         }
     }
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -87,11 +87,11 @@ fn tell(dir: &Path, verification: &Verification) -> Result<()> {
         let text = |key: &str| finding[key].as_str().unwrap_or_default();
         let tables: Vec<&str> = finding["tables"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         let of = if tables.is_empty() { String::new() } else { format!(" (table {})", tables.join(", ")) };
-        say!("{}{of} {}\n    {}", text("file"), text("what"), text("mend"))?;
+        say!("{}{of} {}\n    {}", text("file"), text("what"), text("fix"))?;
     }
     verification.notes.iter().for_each(|remark| note!("note: {remark}"));
     let outcome = match verification.findings.len() {
-        0 => "all is as it was written".to_owned(),
+        0 => "no damage".to_owned(),
         faults => format!("faults: {faults}"),
     };
     say!("verified {}: {}: {outcome}", dir.display(), verification.looked_at.join("; "))
@@ -112,8 +112,8 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
     let Some(manifest) = manifest else {
         verification.add(
             Path::new("manifest.json"),
-            "is not there: the campaign is not sealed",
-            "`periscope seal` records what its files hold now",
+            "is missing: the campaign is not sealed",
+            "`periscope seal` records the content of its files",
         );
         return Ok(());
     };
@@ -157,7 +157,7 @@ fn settings(root: &Path, seal: &Manifest, verification: &mut Verification) -> Re
         let file = root.join(CAMPAIGN_FILE);
         verification.add(&file, "is not in the seal", "`periscope seal --update` takes it in");
     }
-    verification.looked_at.push(format!("{} files of settings", seal.settings().len()));
+    verification.looked_at.push(count(seal.settings().len(), "file of settings", "files of settings"));
     Ok(())
 }
 
@@ -167,16 +167,12 @@ fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, verificatio
     for file in &audit.changed {
         verification.add(
             &campaign.path_of(file),
-            "has another content than was recorded",
+            "differs from the recorded content",
             "restore it; if the change is meant, seal the campaign anew and choose a new --out",
         );
     }
     for file in &audit.gone {
-        verification.add(
-            &campaign.path_of(file),
-            "is gone",
-            "restore it; if it is not to come back, take its line out of the manifest",
-        );
+        verification.add(&campaign.path_of(file), "is gone", "restore it, or delete its line in the manifest");
     }
     if !audit.touched.is_empty() {
         verification.notes.push(format!(
@@ -286,19 +282,17 @@ fn root(
             verification.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
             if other > 0 {
                 verification.notes.push(format!(
-                    "{other} parts of {} come from raw files that are others now, or not in the campaign any more",
+                    "{other} parts of {} come from raw files that have changed or left the campaign",
                     id.kind
                 ));
             }
         }
-        Root::Unknown => verification.notes.push(format!(
-            "{} parts of {}: the files that they come from were not looked at",
-            parts.len(),
-            id.kind
-        )),
+        Root::Unknown => {
+            verification.notes.push(format!("{} parts of {}: their raw files were not checked", parts.len(), id.kind))
+        }
         Root::Refused(why) => verification.add(
             &args.dir,
-            format!("cannot be followed to its raw files: {why}"),
+            format!("cannot be traced to its raw files: {why}"),
             "fix the campaign, or give the right one with --campaign",
         ),
     }

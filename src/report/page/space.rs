@@ -63,8 +63,8 @@ fn alternative(scene: &Scene) -> String {
 fn caption(scene: &Scene) -> Markup {
     let frame = scene.fit.as_ref().map(|fit| match &*fit.frame {
         "fixed" => "The frame is that of campaign.toml.".to_owned(),
-        "stations" => "Nothing tells how the scene is turned about the line of the stations: that is a convention.".to_owned(),
-        _ => "Path lengths say nothing of rotations about the laser, nor of mirror images: first patch on +x, the next in the xy plane, the next at z > 0, by convention.".to_owned(),
+        "stations" => "Path lengths do not determine a rotation about the line of the stations: it is a convention.".to_owned(),
+        _ => "Path lengths do not determine rotations about the laser, nor mirror images: first patch on +x, the next in the xy plane, the next at z > 0, by convention.".to_owned(),
     });
     html! {
         "Drag to turn, scroll to come nearer, click a patch for its onsets, click the legend to hide things. "
