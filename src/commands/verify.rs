@@ -92,9 +92,13 @@ fn tell(dir: &Path, verification: &Verification) -> Result<()> {
     verification.notes.iter().for_each(|remark| note!("note: {remark}"));
     let outcome = match verification.findings.len() {
         0 => "no damage".to_owned(),
-        faults => format!("faults: {faults}"),
+        faults => count(faults, "fault", "faults"),
     };
-    say!("verified {}: {}: {outcome}", dir.display(), verification.looked_at.join("; "))
+    let checked = match verification.looked_at.as_slice() {
+        [] => String::new(),
+        checked => format!("{}: ", checked.join("; ")),
+    };
+    say!("verified {}: {checked}{outcome}", dir.display())
 }
 
 /// Checks a campaign folder: its raw files against its seal.
@@ -136,8 +140,8 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
         .collect();
     if !new.is_empty() {
         verification.notes.push(format!(
-            "{} files came since the campaign was sealed; `periscope seal --update` lets them join: {}",
-            new.len(),
+            "{} not in the seal; `periscope seal --update` adds them: {}",
+            count(new.len(), "new file is", "new files are"),
             new.join(", ")
         ));
     }
@@ -176,15 +180,15 @@ fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, verificatio
     }
     if !audit.touched.is_empty() {
         verification.notes.push(format!(
-            "{} raw files of campaign {} have another time or inode, and the same content",
-            audit.touched.len(),
+            "{} of campaign {} with the recorded content, and another time or inode",
+            count(audit.touched.len(), "raw file", "raw files"),
             campaign.name
         ));
     }
     let how = if rehash { "content" } else { "size, times and inode" };
     verification.looked_at.push(format!(
-        "{} raw files of campaign {} by {how}",
-        manifest.iter().count(),
+        "{} of campaign {} by {how}",
+        count(manifest.iter().count(), "raw file", "raw files"),
         campaign.name
     ));
     Ok(())
@@ -212,8 +216,13 @@ fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
     let report = store::verify(&shelf)?;
     let counts = report.counts;
     verification.looked_at.push(format!(
-        "{} tables, {} parts, {} files of {} bytes, {} runs; {} lineages followed",
-        counts.tables, counts.parts, counts.files, counts.bytes, counts.runs, counts.followed
+        "{}, {}, {} of {} bytes, {}; {} followed",
+        count(counts.tables, "table", "tables"),
+        count(counts.parts, "part", "parts"),
+        count(counts.files, "file", "files"),
+        counts.bytes,
+        count(counts.runs, "run", "runs"),
+        count(counts.followed, "lineage", "lineages")
     ));
     verification.notes.extend(report.notes);
     for finding in &report.findings {
@@ -236,7 +245,14 @@ fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
     }
     // Otherwise damaged files would be named twice.
     if verification.findings.is_empty() {
-        report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, verification));
+        let mut followed = BTreeMap::<&str, usize>::new();
+        for (id, parts) in &report.sources {
+            *followed.entry(&id.kind).or_default() += root(args, id, parts, &campaigns, &shelf, verification);
+        }
+        for (kind, parts) in followed.into_iter().filter(|(_, parts)| *parts > 0) {
+            let parts = count(parts, &format!("part of {kind} follows"), &format!("parts of {kind} follow"));
+            verification.looked_at.push(format!("{parts} from the raw files"));
+        }
     }
     if args.repair {
         store::repair(&report.findings)?;
@@ -268,7 +284,7 @@ fn notes(shelf: &Shelf, verification: &mut Verification) -> Result<(BTreeMap<Str
     Ok((manifests, damaged))
 }
 
-/// Checks the parts of a source against the raw files.
+/// Checks the parts of a source against the raw files; returns how many follow from them.
 fn root(
     args: &Verify,
     id: &StageId,
@@ -276,19 +292,18 @@ fn root(
     campaigns: &[Campaign],
     shelf: &Shelf,
     verification: &mut Verification,
-) {
+) -> usize {
     match roots::follow(id, parts, campaigns, shelf) {
         Root::Followed { parts, other } => {
-            verification.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
             if other > 0 {
-                verification.notes.push(format!(
-                    "{other} parts of {} come from raw files that have changed or left the campaign",
-                    id.kind
-                ));
+                let others = count(other, "part of", "parts of");
+                verification.notes.push(format!("raw files of {others} {} have changed or left the campaign", id.kind));
             }
+            return parts;
         }
         Root::Unknown => {
-            verification.notes.push(format!("{} parts of {}: their raw files were not checked", parts.len(), id.kind))
+            let parts = count(parts.len(), "part of", "parts of");
+            verification.notes.push(format!("raw files of {parts} {} were not checked", id.kind));
         }
         Root::Refused(why) => verification.add(
             &args.dir,
@@ -296,6 +311,7 @@ fn root(
             "fix the campaign, or give the right one with --campaign",
         ),
     }
+    0
 }
 
 /// The given campaigns, or those of the last run.
