@@ -90,7 +90,7 @@ fn coordinates<'a>(places: impl Iterator<Item = [f64; 3]> + Clone + 'a) -> [Vec<
     std::array::from_fn(|axis| places.clone().map(|place| short(place[axis], DIGITS)).collect())
 }
 
-/// Whether the ellipsoid of a patch is larger than its marker. The thousands of given points of a wall are not, and would
+/// Whether the ellipsoid of a patch is larger than its marker. Those of the given points of a wall are not, and would
 /// be a third of the page.
 fn is_to_see(placed: &Placed, scene: &Scene) -> bool {
     let drawn_m = placed.semi_axes_m.map_or(0.0, |axes| 2.0 * scene.ellipsoid_factor * norm(axes[0]));
