@@ -16,7 +16,8 @@
 //! - [`pipeline`] turns a pipeline file into a plan, and a plan into finished tables; it knows no physics. [`history`]
 //!   goes the other way: from a row back to the raw files, and from two result folders to what made them differ.
 //!   [`report`] draws what a result folder says. [`exchange`] turns captures of other programs into campaigns, and
-//!   results into files that other programs open. [`bound`] says what a planned campaign will see.
+//!   results into files that other programs open. [`bound`] predicts the precision of a
+//!   planned campaign, [`wall_outlook`] the points that a relay wall would show.
 //!
 //! How to use the program stands in the [`guide`].
 //!
@@ -46,6 +47,7 @@ pub mod simulate;
 pub mod stages;
 pub mod store;
 pub mod tables;
+pub mod wall_outlook;
 
 pub use periscope_cancel as cancel;
 pub use periscope_formats::{self as formats, waveform};

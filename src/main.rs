@@ -1,7 +1,7 @@
 //! The command line. Results go to standard output, all else to standard error.
 //!
 //! Exit codes: 0 done; 1 failed; 2 wrong usage; 3 done, but some input was left out or rejected, or a result is empty
-//! (`--strict` makes that 1), `check` found something to mend, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM:
+//! (`--strict` makes that 1), `check` found something to fix, or `diff` a difference; 130 ended by Ctrl-C or SIGTERM:
 //! what was finished is kept; 141 standard output was closed before all was printed.
 
 mod commands;
@@ -18,7 +18,7 @@ use mimalloc::MiMalloc;
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 
-/// Where light bounced, from oscilloscope traces: positions of surfaces with error bars, also around the corner.
+/// Positions with error bars from time-of-flight waveforms, also of surfaces around the corner.
 #[derive(Parser)]
 #[command(name = "periscope", version, arg_required_else_help = true, after_help = AFTER_HELP, after_long_help = format!("{AFTER_HELP}\n\n{EXIT_CODES}"))]
 struct Cli {
@@ -33,50 +33,49 @@ Exit codes:
   0    done
   1    failed
   2    wrong usage
-  3    done, but input was left out or rejected, a result is empty, `check` found something to mend, or `diff` a difference
+  3    done, but input was left out or rejected, a result is empty, `check` found something to fix, or `diff` a difference
   130  ended by Ctrl-C or SIGTERM; what was finished is kept
   141  standard output was closed before all was printed, as by `| head`";
 
 #[derive(Subcommand)]
 enum Command {
-    /// Simulate a small campaign of scope files, run its pipeline, and compare what is found with the truth
+    /// Simulate a small campaign of scope files, run its pipeline, and compare the result with the truth
     Demo(commands::demo::Demo),
     /// Turn campaigns into tables: the main job
     Run(commands::run::Run),
-    /// List the pipelines in the program, each with the scene that it is for; with a name: print one
+    /// List the built-in pipelines, each with the scene that it is for; with a name: print one
     Pipelines(commands::pipelines::Pipelines),
-    /// Say what `run` would reuse or compute, and why; runs nothing. With --shards: deal the work out for many machines
+    /// Show what `run` would reuse or compute, and why; runs nothing. With --shards: split the work for many machines
     Plan(commands::plan::PlanArgs),
-    /// Compute one shard of a plan: on any machine that sees campaign and result folder, beside others, again if need
-    /// be
+    /// Compute one shard of a plan: on any machine that can read the campaign and write to the result folder
     RunShard(commands::run_shard::RunShard),
-    /// When all shards of a plan are computed: show the tables, and run what needs all captures
+    /// Finish a run when all shards are computed: run the stages that need all captures, and show the tables
     Gather(commands::gather::Gather),
-    /// Decode scope files: what is in them
+    /// Decode scope files and show what they hold
     Inspect(commands::inspect::Inspect),
-    /// Look a campaign over, also while it is still being captured: what is missing, clipped, faint or drifting
+    /// Check a campaign, also while you still capture it: what is missing, clipped, faint or drifting
     Check(commands::check::Check),
     /// List the tables of a result folder
     Tables(commands::tables::Tables),
-    /// Ask the tables of a result folder a question in SQL
+    /// Query the tables of a result folder in SQL
     Query(commands::query::Query),
-    /// Draw what a result folder says: one page of HTML that needs no network, and figures for a paper
+    /// Draw the results: one page of HTML that needs no network, and figures for a paper
     Report(commands::report::Report),
-    /// Say where a row comes from: from a patch, a distance or an onset back to the raw exposures
+    /// Show where a result comes from: from a patch, a distance or an onset back to the raw files
     Explain(commands::explain::Explain),
-    /// Say which table of two result folders first differs, by how much, and why
+    /// Compare two result folders: which table differs first, by how much, and why
     Diff(commands::diff::Diff),
-    /// Write down the content hashes of a campaign's files
+    /// Record the content hashes of a campaign's files
     Seal(commands::seal::Seal),
     /// Check a campaign's files against their hashes, or a result folder for damage: every byte, every lineage
     Verify(commands::verify::Verify),
-    /// Make a campaign of scope files from a scene description, with truth beside it
+    /// Simulate a campaign of scope files from a scene description, with the true values in a folder of their own
     Simulate(commands::simulate::Simulate),
-    /// Make a campaign of a capture of non-line-of-sight imaging (y-tal, Z-NLOS, confocal MAT-files)
+    /// Convert a capture of non-line-of-sight imaging into a campaign (y-tal, Z-NLOS, confocal MAT-files)
     Convert(commands::convert::Convert),
     /// Write results for other programs: patches as a point cloud, profiles as a capture of y-tal
     Export(commands::export::Export),
-    /// Before capturing: what a scene will show and how well, how long it takes, and what a change would bring
+    /// Before you capture: the error bars to expect, how long it takes, and what a change would bring
     Design(commands::design::Arguments),
     /// Show the columns of the tables, with units and meanings
     Schema(commands::schema::Schema),

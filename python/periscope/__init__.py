@@ -3,7 +3,8 @@
 Reading: `read`. Shots to a profile: `average`, `estimate_noise`, `estimate_response`, `correct_pile_up`. Pulses:
 `deconvolve`, `deconvolve_counts`; `leading_edge`, `constant_fraction`, `threshold_crossing`. Geometry: `t2_distances`,
 `t3_ranges`, `complete_distances`, `classical_scaling`, `iso_embed`, `smacof`, `solve_positions`. Around the corner:
-`find_hidden`, `matched_filter`, `search_hidden`, `first_returns`, `surface_points`. Plans: `design`, `bounds`.
+`find_hidden`, `matched_filter`, `search_hidden`, `first_returns`, `surface_points`. Plans: `design`, `bounds`,
+`time_bound`.
 Campaigns: `write_campaign`, `simulate`, `run`, `Results`. Exceptions: `periscope.errors`.
 
 Times are picoseconds, lengths metres; names carry the unit. Sample n of a record lies at ``t0_ps + n * dt_ps``.
@@ -29,6 +30,7 @@ from ._periscope import (
     Shape,
     SurfacePoints,
     Table,
+    TimeBound,
     Waveform,
     Waveforms,
     autoregressive_acf,
@@ -57,6 +59,7 @@ from ._periscope import (
     t2_distances,
     t3_ranges,
     threshold_crossing,
+    time_bound,
 )
 from .campaigns import Results, design, run
 from .errors import (
@@ -95,6 +98,7 @@ __all__ = [
     "Shape",
     "SurfacePoints",
     "Table",
+    "TimeBound",
     "UndeterminedError",
     "Waveform",
     "Waveforms",
@@ -128,5 +132,6 @@ __all__ = [
     "t2_distances",
     "t3_ranges",
     "threshold_crossing",
+    "time_bound",
     "write_campaign",
 ]

@@ -508,6 +508,27 @@ def run(
 def load_campaign(campaign: StrPath) -> str: ...
 def design_json(scene: StrPath, bounces: int | None, threshold_sigma: float) -> str: ...
 
+class TimeBound:
+    @property
+    def time_sd_ps(self) -> Floats: ...
+    @property
+    def covariance_ps2(self) -> Floats: ...
+    @property
+    def amplitude_sd(self) -> Floats: ...
+
+def time_bound(
+    time_ps: ArrayLike,
+    amplitude: ArrayLike,
+    response: Response,
+    sd: ArrayLike,
+    *,
+    samples: int,
+    dt_ps: float,
+    t0_ps: float = 0.0,
+    acf: ArrayLike | None = None,
+    baseline: Baseline = "line",
+) -> TimeBound: ...
+
 class PulseBound:
     @property
     def sensor(self) -> str: ...

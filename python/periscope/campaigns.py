@@ -242,23 +242,26 @@ def _next_to(campaign: Path) -> Path:
     return place.with_name(f"{place.name}-results")
 
 
-def design(scene: StrPath, *, bounces: int | None = None, threshold_sigma: float = 5.0) -> dict[str, Any]:
-    """What a planned measurement can show, by the Cramer-Rao bound of its scene.
+def design(scene: StrPath, *, bounces: int | None = None, threshold_sigma: float = 5.0) -> Any:
+    """What a planned measurement can show: by the Cramer-Rao bound of its scene, or of a relay wall by its estimators.
 
     Parameters
     ----------
     scene : str or os.PathLike
-        Scene description (TOML), as for `simulate`.
+        Scene description (TOML), as for `simulate`; or a wall and its surfaces (`[wall]`, `[surfaces.NAME]`).
     bounces : int, optional
         Highest order of bounces that the geometry uses, 1 to 5; by default 2, or 3 where the scene has hidden patches.
+        Not for a wall.
     threshold_sigma : float
-        Signal-to-noise ratio from which a pulse counts as an onset.
+        Signal-to-noise ratio from which a pulse, or first light, counts as an onset.
 
     Returns
     -------
-    dict
-        What `periscope design --format json` prints: precision and chance of each patch, bounces by their strength,
-        pulses that blend, what the data leave open, and what changes would bring.
+    dict or list of dict
+        What `periscope design --format json` prints. A dict for a scene: precision and chance of each patch, bounces by
+        their strength, pulses that blend, what the data leave open, and what changes would bring. A list for a wall,
+        with a dict for each surface: points by kind, median standard deviations, nodes of its mesh, and the share of it
+        that the wall can see.
 
     Raises
     ------

@@ -4,20 +4,25 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2};
 use periscope::bound::design::Design;
+use periscope::bound::pulses::{NoBound, Samples, Under, pulses_bound};
 use periscope::bound::{self, Use};
 use periscope::simulate::Scene;
+use periscope::simulate::wall::WallScene;
+use periscope::wall_outlook::WallOutlook;
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use crate::arrays::{matrix, positive, require, vector};
-use crate::failure::{of_scene, of_simulation};
-use crate::interrupt::interruptible_run;
+use crate::arrays::{Each, Vector, finite, matrix, number, positive, require, vector};
+use crate::failure::{UndeterminedError, of_scene, of_simulation};
+use crate::interrupt::{interruptible, interruptible_run};
+use crate::profiles::Response;
 
 fn order(bounces: Option<usize>) -> PyResult<()> {
     let strange = bounces.filter(|bounces| !(1..=5).contains(bounces));
     require(strange.is_none(), || format!("bounces is {}; light is followed over 1 to 5", strange.unwrap_or_default()))
 }
 
-/// The outlook of a scene as a JSON text; `periscope.design` reads it.
+/// The outlook of a scene, or of a relay wall, as a JSON text; `periscope.design` reads it.
 ///
 /// Parameters
 /// ----------
@@ -28,6 +33,12 @@ fn order(bounces: Option<usize>) -> PyResult<()> {
 pub fn design_json(py: Python<'_>, scene: PathBuf, bounces: Option<usize>, threshold_sigma: f64) -> PyResult<String> {
     order(bounces)?;
     let threshold_sigma = positive("threshold_sigma", threshold_sigma)?;
+    if WallScene::is_in(&scene).map_err(of_scene)? {
+        require(bounces.is_none(), || "bounces has no meaning for a wall: first light has three bounces".to_owned())?;
+        let wall = WallScene::load(&scene).map_err(of_scene)?;
+        let outlooks = interruptible(py, |cancel| WallOutlook::all(&wall, threshold_sigma, cancel))?;
+        return serde_json::to_string(&outlooks).map_err(|error| PyValueError::new_err(error.to_string()));
+    }
     let scene = Scene::load(&scene).map_err(of_scene)?;
     let design = interruptible_run(py, |_| Design::new(scene, bounces, threshold_sigma))?.map_err(of_simulation)?;
     Ok(design.object().to_string())
@@ -143,5 +154,111 @@ pub fn bounds(py: Python<'_>, scene: PathBuf, bounces: usize, threshold_sigma: f
         free_rotations: all.turns,
         onsets: vector(py, all.onsets.iter().map(|onsets| *onsets as i64).collect()),
         pulses,
+    })
+}
+
+/// The Cramer-Rao bound of pulses in a mean profile.
+#[pyclass(frozen, get_all, module = "periscope")]
+pub struct TimeBound {
+    /// Least standard deviation of the time of each pulse, ps; shape (pulses,).
+    time_sd_ps: Py<PyArray1<f64>>,
+    /// Least covariance of the times, ps^2; shape (pulses, pulses).
+    covariance_ps2: Py<PyArray2<f64>>,
+    /// Least standard deviation of each amplitude, in its unit; shape (pulses,).
+    amplitude_sd: Py<PyArray1<f64>>,
+}
+
+/// The Cramer-Rao bound of the times of pulses in a mean profile: no unbiased estimator is more precise.
+///
+/// All times and amplitudes are unknown, and what lies under the pulses. The response is known.
+///
+/// Parameters
+/// ----------
+/// time_ps : array_like, shape (pulses,)
+///     Arrival of each pulse: where time 0 of the response lies.
+/// amplitude : float or array_like, shape (pulses,)
+///     Factor of the response, as of `Pulses.amplitude`.
+/// response : Response
+///     Impulse response of the sensor.
+/// sd : float or array_like, shape (samples,)
+///     Standard deviation of each sample of the mean, in the unit of the amplitudes. Infinite: the sample is ignored.
+/// samples : int
+///     Samples of the profile. Sample n lies at `t0_ps + n * dt_ps`.
+/// dt_ps : float
+///     Time between samples.
+/// t0_ps : float
+///     Time of sample 0.
+/// acf : array_like, shape (lags,), optional
+///     Autocorrelation of the noise from lag 0 on; without it, the noise is white.
+/// baseline : {"line", "constant", "none"}
+///     What is unknown under the pulses.
+///
+/// Returns
+/// -------
+/// TimeBound
+///
+/// Raises
+/// ------
+/// UndeterminedError
+///     If the samples do not determine the times: pulses coincide, lie outside of the record, or have no amplitude.
+/// ValueError
+///     If an argument has values that are not finite, or `acf` is not that of any noise.
+///
+/// See Also
+/// --------
+/// deconvolve : estimates the times.
+/// bounds : the bound of a whole scene.
+///
+/// Notes
+/// -----
+/// Source: Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, section 3.9 (Fisher information of
+/// Gaussian samples). It shares no code with `deconvolve`.
+#[pyfunction]
+#[pyo3(signature = (time_ps, amplitude, response, sd, *, samples, dt_ps, t0_ps=0.0, acf=None, baseline="line"))]
+pub fn time_bound(
+    py: Python<'_>,
+    time_ps: Vector<'_>,
+    amplitude: Each<'_>,
+    response: &Bound<'_, Response>,
+    sd: Each<'_>,
+    samples: usize,
+    dt_ps: f64,
+    t0_ps: f64,
+    acf: Option<Vector<'_>>,
+    baseline: &str,
+) -> PyResult<TimeBound> {
+    let times_ps = finite("time_ps", &time_ps)?;
+    require(!times_ps.is_empty() && samples > 0, || "give at least one pulse and one sample".to_owned())?;
+    let amplitudes = amplitude.values("amplitude", times_ps.len())?;
+    require(amplitudes.iter().all(|value| value.is_finite()), || {
+        "amplitude has values that are not finite".to_owned()
+    })?;
+    let sd = sd.standard_deviations("sd", samples)?;
+    let acf = acf.map(|acf| finite("acf", &acf)).transpose()?.unwrap_or_default();
+    let under = match baseline {
+        "none" => Under::Nothing,
+        "constant" => Under::Constant,
+        "line" => Under::Line,
+        other => {
+            let problem = format!("baseline is {other:?}; give \"none\", \"constant\" or \"line\"");
+            return Err(PyValueError::new_err(problem));
+        }
+    };
+    let (t0_ps, dt_ps) = (number("t0_ps", t0_ps)?, positive("dt_ps", dt_ps)?);
+    let pulses: Vec<(f64, f64)> = times_ps.into_iter().zip(amplitudes).collect();
+    let response = &response.get().0;
+    let bound = interruptible(py, |_| {
+        let samples = Samples { t0_ps, dt_ps, sd: &sd, acf: &acf };
+        pulses_bound(&samples, &|after_ps| response.value_and_slope(after_ps), &pulses, under)
+    })?;
+    let bound = bound.map_err(|error| match error {
+        NoBound::Undetermined => UndeterminedError::new_err(error.to_string()),
+        NoBound::Autocorrelation => PyValueError::new_err(format!("acf: {error}; pass it through autoregressive_acf")),
+    })?;
+    let count = pulses.len();
+    Ok(TimeBound {
+        time_sd_ps: vector(py, (0..count).map(|k| bound.covariance_ps2[(k, k)].sqrt()).collect()),
+        covariance_ps2: matrix(py, bound.covariance_ps2.as_slice().to_vec(), count, count)?,
+        amplitude_sd: vector(py, bound.amplitude_sd),
     })
 }

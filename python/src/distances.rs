@@ -20,7 +20,7 @@ fn lengths(name: &str, time_ps: &Vector<'_>, sd_ps: &Each<'_>, group_index: f64)
     let times_ps = finite(name, time_ps)?;
     let sds_ps = sd_ps.standard_deviations(&format!("standard deviation of {name}"), times_ps.len())?;
     require(sds_ps.iter().all(|sd_ps| sd_ps.is_finite()), || {
-        format!("a standard deviation of {name} is not finite; leave out times that nobody knows")
+        format!("a standard deviation of {name} is not finite; leave out times of unknown error")
     })?;
     let index = positive("group_index", group_index)?;
     let length = |(time_ps, sd_ps): (&f64, &f64)| Length {

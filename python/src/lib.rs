@@ -11,7 +11,7 @@
 //! | `onsets` | [`periscope::signal::onset`]: classical timing |
 //! | `hidden` | [`periscope::geometry::hidden`], [`periscope::geometry::faint`] |
 //! | `surfaces` | [`periscope::signal::edge`], [`periscope::geometry::first_return`], shapes and height fields |
-//! | `designs` | [`periscope::bound`] |
+//! | `designs` | [`periscope::bound`], [`periscope::wall_outlook`] |
 //! | `runs` | [`periscope::pipeline`], [`periscope::simulate`] |
 //! | `results` | [`periscope::store`], [`periscope::history`], [`periscope::report`] |
 //! | `arrays`, `failure`, `interrupt`, `plots` | arguments, exceptions, Ctrl-C, pictures |
@@ -41,7 +41,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _periscope {
     #[pymodule_export]
-    use crate::designs::{Bounds, PulseBound, bounds, design_json};
+    use crate::designs::{Bounds, PulseBound, TimeBound, bounds, design_json, time_bound};
     #[pymodule_export]
     use crate::distances::{
         Distances, Ranges, classical_scaling, complete_distances, iso_embed, smacof, t2_distances, t3_ranges,

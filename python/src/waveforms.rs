@@ -8,6 +8,7 @@
 mod opened;
 mod waveform;
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -66,14 +67,9 @@ impl Waveforms {
     }
 
     fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = Vec::new();
-        for record in &self.records {
-            let name = record.head.channel.as_deref().unwrap_or_default();
-            if !names.iter().any(|other| other == name) {
-                names.push(name.to_owned());
-            }
-        }
-        names
+        let mut known = HashSet::new();
+        let names = self.records.iter().map(|record| record.head.channel.as_deref().unwrap_or_default());
+        names.filter(|name| known.insert(*name)).map(str::to_owned).collect()
     }
 
     /// What all have in common, for an array with a row for each.

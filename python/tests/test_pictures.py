@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from conftest import REPOSITORY, command, gauss, gaussian_response
 import periscope
 
 TINY = REPOSITORY / "pipelines/scenes/tiny.toml"
+WALL = REPOSITORY / "pipelines/scenes/wall.toml"
 
 
 @pytest.fixture(autouse=True)
@@ -132,12 +134,26 @@ def test_a_plan_is_that_of_the_command() -> None:
     np.testing.assert_allclose(bounds.sd_m, np.sqrt(blocks.sum(axis=1)), rtol=1e-12)
     first = [pulse for pulse in bounds.pulses if pulse.path == [1]]
     assert first and all(pulse.time_sd_ps is not None and 0.0 < pulse.time_sd_ps < 5.0 for pulse in first)
+    with pytest.raises(ValueError, match="has no meaning for a wall"):
+        periscope.design(WALL, bounces=2)
     with pytest.raises(ValueError, match="light is followed over 1 to 5"):
         periscope.design(TINY, bounces=6)
     with pytest.raises(ValueError, match="threshold_sigma is 0"):
         periscope.bounds(TINY, threshold_sigma=0.0)
     with pytest.raises(periscope.CampaignError):
         periscope.bounds(REPOSITORY / "no-such-scene.toml")
+
+
+def test_the_plan_of_a_wall_is_that_of_the_command(tmp_path: Path) -> None:
+    text = WALL.read_text()
+    few = tmp_path / "wall.toml"
+    few.write_text(re.sub(r"points = \[\d+, \d+\]", "points = [8, 8]", text, count=1))
+    surfaces = periscope.design(few)
+    assert surfaces == json.loads(command("design", few, "--format", "json"))
+    assert len(surfaces) == text.count("[surfaces.") and all(one["histograms"] == 64 for one in surfaces)
+    assert any(one["points"] > 10 and 0.0 < one["sd_m"] < 0.1 for one in surfaces), surfaces
+    fewer = periscope.design(few, threshold_sigma=1e6)
+    assert all(one["points"] == 0 and one["sd_m"] is None for one in fewer)
 
 
 def test_error_bars_of_a_run_do_not_beat_the_bound(results: periscope.Results) -> None:

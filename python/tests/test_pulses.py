@@ -100,3 +100,34 @@ def test_wrong_arguments_are_refused() -> None:
         periscope.deconvolve([0.0, 1.0], 1.0, response, dt_ps=1.0, baseline="flat")  # pyright: ignore
     with pytest.raises(ValueError, match="-3 is no number of photons"):
         periscope.deconvolve_counts([1, -3], response, cycles=10, dt_ps=1.0)
+
+
+def test_the_bound_of_times_is_the_inverse_of_the_fisher_information() -> None:
+    time_ps = 1000.0 + DT_PS * np.arange(100)
+    arrivals_ps, heights, response = [3000.0, 3060.0], [0.8, 0.5], gaussian_response(SD_PS)
+    grid = {"samples": 100, "dt_ps": DT_PS, "t0_ps": 1000.0}
+    sd = np.linspace(2e-4, 8e-4, 100)
+    bound = periscope.time_bound(arrivals_ps, heights, response, sd, **grid)
+    np.testing.assert_allclose(bound.time_sd_ps, fisher_sd_ps(time_ps, arrivals_ps, heights, sd**2), rtol=1e-3)
+    np.testing.assert_allclose(bound.time_sd_ps, np.sqrt(np.diag(bound.covariance_ps2)), rtol=1e-12)
+    # Correlated noise: the dense covariance, inverted.
+    lags = np.abs(np.subtract.outer(np.arange(100), np.arange(100)))
+    correlation = np.where(lags == 0, 1.0, np.where(lags == 1, 0.4, np.where(lags == 2, 0.1, 0.0)))
+    weights = np.linalg.inv(sd[:, None] * correlation * sd)
+    shapes = np.stack([gauss(time_ps - at, SD_PS) for at in arrivals_ps])
+    slopes = [h * shape * (time_ps - at) / SD_PS**2 for h, shape, at in zip(heights, shapes, arrivals_ps)]
+    columns = np.stack([*slopes, *shapes, np.ones(100)])
+    covariance = np.linalg.inv(columns @ weights @ columns.T)
+    bound = periscope.time_bound(arrivals_ps, heights, response, sd, acf=[1.0, 0.4, 0.1], baseline="constant", **grid)
+    np.testing.assert_allclose(bound.covariance_ps2, covariance[:2, :2], rtol=1e-3)
+    np.testing.assert_allclose(bound.amplitude_sd, np.sqrt(np.diag(covariance)[2:4]), rtol=1e-3)
+
+
+def test_what_has_no_bound_is_refused() -> None:
+    response = gaussian_response(SD_PS)
+    grid = {"samples": 100, "dt_ps": DT_PS}
+    for times, heights in [([2000.0, 2000.0], 0.5), ([9000.0], 0.5), ([2000.0], 0.0)]:
+        with pytest.raises(periscope.UndeterminedError, match="do not determine"):
+            periscope.time_bound(times, heights if len(times) == 1 else [heights] * 2, response, 1e-3, **grid)
+    with pytest.raises(ValueError, match="positive definite"):
+        periscope.time_bound([2000.0], 0.5, response, 1e-3, acf=[1.0, 0.9, -0.9], **grid)

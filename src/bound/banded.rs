@@ -17,6 +17,11 @@ impl Banded {
     /// # Panics
     /// When the covariance is not positive definite.
     pub fn new(acf: &[f64], extra: &[f64]) -> Self {
+        Self::factored(acf, extra).expect("a covariance is positive definite")
+    }
+
+    /// The same; `None` when the covariance is not positive definite.
+    pub fn factored(acf: &[f64], extra: &[f64]) -> Option<Self> {
         let reach = acf.len() - 1;
         let width = reach + 1;
         let mut rows = vec![0.0; extra.len() * width];
@@ -29,14 +34,16 @@ impl Banded {
                     }
                 }
                 rows[i * width + reach + j - i] = if i == j {
-                    assert!(value > 0.0, "a covariance is positive definite");
+                    if value.is_nan() || value <= 0.0 {
+                        return None;
+                    }
                     value.sqrt()
                 } else {
                     value / rows[j * width + reach]
                 };
             }
         }
-        Self { reach, rows }
+        Some(Self { reach, rows })
     }
 
     /// Solves `L x = b` in place: turns noise of this covariance into white noise of variance 1.

@@ -4,6 +4,7 @@
 //! - [`profile`]: the samples of a capture determine the time of each pulse. Noise: the oscilloscope's with its
 //!   correlation, the converter's rounding, shot noise by level. Also unknown: all amplitudes, the baseline, the width
 //!   of the response.
+//! - [`pulses`]: the same from a response and noise that a caller has.
 //! - [`coordinates`]: all captures and the response captures together determine the positions. Also unknown: each
 //!   sensor's delay and response width, the reference pulse's error in each profile, the length of the known path.
 //! - [`outlook`]: what that means for a planned measurement; [`design`] asks for it as `periscope design` does.
@@ -16,6 +17,7 @@ pub mod coordinates;
 pub mod design;
 pub mod outlook;
 pub mod profile;
+pub mod pulses;
 
 use crate::simulate::{Laboratory, Scene, SimulateError};
 use coordinates::Coordinates;

@@ -231,7 +231,7 @@ fn ambiguities(scene: &Scene, bound: &Bound) -> Vec<String> {
             "laser and sensor"
         };
         ambiguities.push(format!(
-            "path lengths say nothing of turns about {about}, nor which of two mirror images is true; give anchors or ray directions to fix that"
+            "path lengths do not determine rotations about {about}, nor the mirror image; anchors or ray directions would"
         ));
     }
     let seen = |role: PatchRole| coordinates.patches.iter().filter(move |patch| scene.patches[patch].role == role);
@@ -299,7 +299,7 @@ fn changes(scene: &Scene, using: Use) -> Result<Vec<Change>, SimulateError> {
         };
     });
     try_it("patches twice as wide", &|scene| scene.patches.values_mut().for_each(|disk| disk.size_m *= 2.0));
-    try_it("the known path ten times as well known", &|scene| scene.captures.path_sd_m *= 0.1);
+    try_it("the known path ten times as precise", &|scene| scene.captures.path_sd_m *= 0.1);
     if let Some((place, changed)) = best_spot(scene, using) {
         let [x, y, z] = place;
         changes.extend(change(format!("one more spot, at ({x:.2}, {y:.2}, {z:.2})"), &changed, scene, using));

@@ -7,6 +7,7 @@
 //! | `toml_text`, `suggest` | if not: which line is wrong, and what was meant? |
 //! | `survey`, `pattern`, `walk`, `captures_table`, `references`, `companions`, `exclusions`, `exposure`, `claims` | which file is which exposure? |
 //! | `left_out` | what does a run not use, and what is to be done? |
+//! | `counted` | one file, two files? |
 //! | `stamp`, `manifest`, `seal`, `settings`, `tree_hash` | is it still the same file as before? |
 //! | `parts` | where does a part end, the unit of storage and computation? |
 //!
@@ -16,6 +17,7 @@ pub mod captures_table;
 pub mod check_captures;
 pub mod check_setup;
 mod claims;
+mod counted;
 pub mod exclusions;
 pub mod exposure;
 pub mod fault;
@@ -35,6 +37,7 @@ pub mod toml_text;
 pub mod tree_hash;
 pub mod walk;
 
+pub use counted::count;
 pub use exclusions::Exclusions;
 pub use exposure::{Exposure, ReferenceSource};
 pub use fault::Fault;

@@ -29,7 +29,7 @@ pub fn tell(spec: &Spec, outcome: &Outcome, shelf: &Shelf, format: Format) -> Re
     }
     let mut printed = tables.print(format);
     if format == Format::Table {
-        printed = printed.and_then(|()| say!("results: {out}; look at them with `periscope report {out}`"));
+        printed = printed.and_then(|()| say!("results: {out}; `periscope report {out}` draws them"));
         printed = printed.and_then(|()| decisions::print(spec, outcome, shelf));
     }
     // Warnings come also where nothing reads standard output.

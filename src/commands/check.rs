@@ -18,9 +18,10 @@ use clap::Args;
 use periscope::campaign::keys::{Exclude, Match};
 use periscope::campaign::left_out::left_out;
 use periscope::campaign::{Campaign, Manifest, Role, Survey};
-use periscope::pipeline::plan::Plan;
+use periscope::pipeline::plan::{Plan, PlanError};
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects;
+use periscope::pipeline::responses::MissingResponse;
 use periscope::pipeline::run::{self as runner, Settings};
 use periscope::pipeline::spec::{Definition, Reference, Spec, Step};
 use periscope::stages::Node;
@@ -94,13 +95,14 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let survey = campaign.survey().with_context(|| format!("campaign {}", args.campaign.display()))?;
     let out = OutFolder::of(args.out.as_deref());
     let reference = or_declared(args.pipeline.as_ref(), std::slice::from_ref(&campaign));
-    let report = look(&campaign, &survey, &rules(&Spec::new(&Definition::load(&reference)?)?)?, &out.path)?;
+    let spec = Spec::new(&Definition::load(&reference)?)?;
+    let report = look(&campaign, &survey, &spec, &out.path)?;
     match args.output.format {
         Format::Table => print_text(&text::text(&report))?,
         Format::Json => print(json(&report)?)?,
         Format::Csv => rows::rows(&report).print(Format::Csv)?,
     }
-    Ok(if report.mend.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(SOME_REJECTED) })
+    Ok(if report.fix.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(SOME_REJECTED) })
 }
 
 /// The folder for tables. A temporary one is removed at the end, even if the check fails.
@@ -125,11 +127,21 @@ impl Drop for OutFolder {
     }
 }
 
-/// Surveys, measures, and gathers the results.
-fn look(campaign: &Campaign, survey: &Survey, rules: &[String], out: &Path) -> Result<Report> {
+/// The response that the pipeline needs and no file shows: `run` would refuse the campaign.
+fn missing_response(spec: &Spec, campaign: &Campaign, shelf: &Shelf) -> Result<Option<MissingResponse>> {
+    match Plan::new(spec, std::slice::from_ref(campaign), shelf, None) {
+        Ok(_) => Ok(None),
+        Err(PlanError::Response(missing)) => Ok(Some(missing)),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Surveys, measures, and gathers the results. `spec` is the pipeline that will run.
+fn look(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path) -> Result<Report> {
     let shelf = Shelf::open(out)?;
     forget_changed(campaign, &shelf)?;
-    let calibrating = run(campaign, &shelf, rules, Some("calibration"))?;
+    let (missing, rules) = (missing_response(spec, campaign, &shelf)?, rules(spec)?);
+    let calibrating = run(campaign, &shelf, &rules, Some("calibration"))?;
     let calibrated: Vec<Calibration> = table(&shelf, "calibration")?;
     let uncalibrated = coverage::without_template(survey, &calibrated);
     let mut measured = campaign.clone();
@@ -137,7 +149,7 @@ fn look(campaign: &Campaign, survey: &Survey, rules: &[String], out: &Path) -> R
         matches: Match { sensor: Some(sensor.clone()), ..Match::default() },
         reason: "its reference channel is not calibrated".to_owned(),
     }));
-    let mut rejects = run(&measured, &shelf, rules, None)?;
+    let mut rejects = run(&measured, &shelf, &rules, None)?;
     let calibrating: Vec<Reject> = calibrating.into_iter().filter(|reject| !rejects.contains(reject)).collect();
     rejects.extend(calibrating);
     let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
@@ -146,6 +158,7 @@ fn look(campaign: &Campaign, survey: &Survey, rules: &[String], out: &Path) -> R
     let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
     coverage::fill(&mut report, campaign, survey, &measurements, &left_out, &uncalibrated);
     quality::fill(&mut report, &measurements, table(&shelf, "checks")?, &rejects);
+    report.fix.extend(missing.map(|missing| missing.words()));
     Ok(report)
 }
 

@@ -16,7 +16,7 @@ use periscope::store::Shelf;
 use periscope::tables::{Patch, Row};
 
 use super::interrupt::cancel_on_signals;
-use super::output::{print_text, say};
+use super::output::{count, print_text, say};
 use super::report::write_page;
 use super::run::Job;
 
@@ -53,7 +53,7 @@ pub struct Demo {
 pub fn demo(args: &Demo) -> Result<ExitCode> {
     let Some((name, scene, pipeline)) = DEMOS.iter().find(|(name, ..)| *name == args.name) else {
         let names: Vec<&str> = DEMOS.iter().map(|(name, ..)| *name).collect();
-        bail!("there is no demo `{}`; there is {}", args.name, names.join(", "));
+        bail!("there is no demo `{}`; choose one of {}", args.name, names.join(", "));
     };
     clear(&args.out)?;
     let (campaign, results) = (args.out.join("campaign"), args.out.join("out"));
@@ -83,22 +83,23 @@ pub fn demo(args: &Demo) -> Result<ExitCode> {
     let outcome = job.execute(&mut job.record()?)?;
 
     say!(
-        "Simulated {} captures of {} shots each as LeCroy .trc files, and solved for {} patches from the light that bounced between them.\n",
-        truth.captures.iter().filter(|capture| &*capture.role == "scene").count(),
-        scene.captures.shots,
-        truth.patches.len()
+        "Simulated {} of {} each as LeCroy .trc files, and solved for {} from the light that bounced between them.\n",
+        count(truth.captures.iter().filter(|capture| &*capture.role == "scene").count(), "capture", "captures"),
+        count(scene.captures.shots, "shot", "shots"),
+        count(truth.patches.len(), "patch", "patches")
     )?;
     let paper = if spec.steps.iter().any(|step| step.heading == "paper") { rows(&shelf, "paper")? } else { Vec::new() };
     print_text(&comparison(&rows(&shelf, "patches")?, &paper, &truth.patches, &scene)?)?;
-    say!("\nTables (Parquet; read them with Polars, DuckDB or anything else):")?;
+    say!("\nTables (Parquet files; Polars, DuckDB and others read them):")?;
     for step in &spec.steps {
         let rows = outcome.tables.get(&step.heading).map_or(0, |record| record.rows(&step.node.tables()[0].name));
-        say!("  {:20} {rows:>6} rows  {}", step.heading, results.join(&step.heading).display())?;
+        let noun = if rows == 1 { "row " } else { "rows" };
+        say!("  {:20} {rows:>6} {noun}  {}", step.heading, results.join(&step.heading).display())?;
     }
-    say!("\nThe same for the eye, in a browser: {}", write_page(&results)?.display())?;
+    say!("\nThe report, for a browser: {}", write_page(&results)?.display())?;
     // The path by which it was called, so that the printed command works if the program is not on PATH.
     let program = std::env::args().next().unwrap_or_else(|| "periscope".to_owned());
-    say!("\nThe same again, from the files:")?;
+    say!("\nTo run the pipeline again:")?;
     say!("  {program} run {} --campaign {} --out {}", pipeline_file.display(), campaign.display(), results.display())?;
     Ok(ExitCode::SUCCESS)
 }
@@ -111,7 +112,7 @@ fn clear(out: &Path) -> Result<()> {
     let is_demo = DEMOS.iter().any(|(name, ..)| out.join(format!("{name}.toml")).is_file());
     let ours = is_demo || out.join("campaign/truth").is_dir() || std::fs::read_dir(out)?.next().is_none();
     if !ours {
-        bail!("{} is there and was not made by a demo; choose another folder with --out", out.display());
+        bail!("{} exists, and no demo wrote it; choose another folder with --out", out.display());
     }
     std::fs::remove_dir_all(out)
         .with_context(|| format!("cannot remove what an earlier demo left in {}", out.display()))

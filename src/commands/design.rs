@@ -13,7 +13,7 @@ use periscope::bound::outlook::Outlook;
 use periscope::simulate::Scene;
 use periscope::simulate::wall::WallScene;
 
-use super::output::{Format, Output, Rows, json, print, print_text};
+use super::output::{Format, Output, Rows, count, json, print, print_text};
 
 /// Arguments of `design`.
 #[derive(Args)]
@@ -97,10 +97,11 @@ fn text(design: &Design) -> Result<String, std::fmt::Error> {
     let captures = scene.lit().len() * seen;
     writeln!(
         text,
-        "{}: {} patches, {captures} captures of {} shots; {:.3e} pulses, {} of capture{}\n",
+        "{}: {}, {} of {}; {:.3e} laser pulses, {} of capture{}\n",
         scene.name,
-        scene.patches.len(),
-        scene.captures.shots,
+        count(scene.patches.len(), "patch", "patches"),
+        count(captures, "capture", "captures"),
+        count(scene.captures.shots, "shot", "shots"),
         outlook.pulses,
         hours(outlook.hours),
         if scene.instrument.snr.is_some() { " (signal-to-noise ratio set, not derived)" } else { "" }
@@ -109,7 +110,7 @@ fn text(design: &Design) -> Result<String, std::fmt::Error> {
     orders(&mut text, outlook, *threshold_sigma)?;
     blends(&mut text, outlook)?;
     if !outlook.ambiguities.is_empty() {
-        writeln!(text, "\nWhat the data leave open")?;
+        writeln!(text, "\nWhat the data do not determine")?;
         for open in &outlook.ambiguities {
             writeln!(text, "  {open}")?;
         }
@@ -169,7 +170,7 @@ fn orders(text: &mut String, outlook: &Outlook, threshold: f64) -> std::fmt::Res
 
 fn blends(text: &mut String, outlook: &Outlook) -> std::fmt::Result {
     if !outlook.blends.is_empty() {
-        writeln!(text, "\nPulses that are seen as one: {} pairs", outlook.blends.len())?;
+        writeln!(text, "\nPulses too close to separate: {}", count(outlook.blends.len(), "pair", "pairs"))?;
         for blend in outlook.blends.iter().take(LISTED) {
             let [a, b] = &blend.paths;
             writeln!(

@@ -8,7 +8,7 @@ use clap::Args;
 use periscope::history::comparison::{Comparison, RowsComparison, TableComparison, Verdict, compare};
 use serde_json::{Value, json};
 
-use super::output::{Format, Output, Rows, json, print, print_text};
+use super::output::{Format, Output, Rows, count, json, print, print_text};
 
 /// Most tables on one line; the JSON has all.
 const NAMED: usize = 12;
@@ -108,7 +108,7 @@ fn text(comparison: &Comparison) -> String {
         }
     };
     listed("same", &of(Verdict::Same));
-    listed("same rows, made otherwise", &of(Verdict::SameRows));
+    listed("same rows from other inputs", &of(Verdict::SameRows));
     listed("only in A", &names(&comparison.only_in_a));
     listed("only in B", &names(&comparison.only_in_b));
     let made_otherwise = comparison.tables.iter().find(|table| table.verdict == Verdict::SameRows);
@@ -130,7 +130,7 @@ fn names(names: &[String]) -> Vec<&str> {
 fn of_table(table: &TableComparison) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(rows) = &table.rows {
-        lines.push(format!("\n{} differs: {} rows in A, {} in B", table.table, rows.in_a, rows.in_b));
+        lines.push(format!("\n{} differs: {} in A, {} in B", table.table, count(rows.in_a, "row", "rows"), rows.in_b));
         lines.extend(of_rows(rows));
     }
     lines.extend(causes(table));
@@ -139,7 +139,7 @@ fn of_table(table: &TableComparison) -> Vec<String> {
 
 fn causes(table: &TableComparison) -> Vec<String> {
     let listed = table.causes.iter().map(|cause| format!("    {}: {}", cause.at, cause.change));
-    let heading = if table.causes.is_empty() { None } else { Some("  behind it".to_owned()) };
+    let heading = if table.causes.is_empty() { None } else { Some("  causes".to_owned()) };
     heading.into_iter().chain(listed).collect()
 }
 

@@ -15,8 +15,8 @@ use super::output::{Format, Rows, json, print, print_text};
 
 /// The fields of the JSON object.
 const JSON_HELP: &str = "\
-Rows as CSV are those of `onsets`. Keys of the JSON object (times in ps, voltages in V, lengths in m; null: no table tells)
-  target             what was asked for
+Rows as CSV are those of `onsets`. Keys of the JSON object (times in ps, voltages in V, lengths in m; null: unknown)
+  target             the row that the call names
   table, table_kind  the table that it stands in, and its kind as in `periscope schema`
   stage              the stage that made it
   row                the row by its columns, as `periscope schema` lists them
@@ -29,7 +29,7 @@ Rows as CSV are those of `onsets`. Keys of the JSON object (times in ps, voltage
   sensors            calibration and session: table, campaign, sensor, range, shots, latency_ps,
                      latency_sd_ps, delay_ps, delay_sd_ps, raw
   raw (in both)      campaign, file, channel, segments (null: all), exposures, is_reference
-  beside             side tables of the same stage
+  beside             side tables that the same stage wrote
   remarks            what to know about the answer
   queries            about, sql";
 
@@ -69,7 +69,7 @@ pub struct Explain {
     /// Form of the answer
     #[arg(long, value_enum, default_value = "table")]
     format: Form,
-    /// List all onsets and captures, even if there are many
+    /// List every onset and capture with its raw files, even if there are many
     #[arg(long)]
     all: bool,
 }

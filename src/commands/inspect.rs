@@ -15,7 +15,7 @@ use periscope::formats::{self, Contents, Description, Input, Joined, Source, npy
 use periscope::waveform::Record;
 use serde_json::json;
 
-use super::output::{Closed, Format, Output, Rows, Stream, note, say};
+use super::output::{Closed, Format, Output, Rows, Stream, count, note, say};
 use super::whole_file;
 use line::{TIME, line, missing_units, with_unit};
 use plot::Plot;
@@ -215,7 +215,8 @@ fn lines_of_file(args: &Inspect, file: &Path) -> Result<()> {
     let Opened { mut source, records, remarks } = open(args, file)?;
     let head = &records[0].head;
     let instrument = head.instrument.as_deref().unwrap_or("unknown instrument");
-    say!("{}: {}, {instrument}, {} waveforms", file.display(), head.format, records.len())?;
+    let waveforms = count(records.len(), "waveform", "waveforms");
+    say!("{}: {}, {instrument}, {waveforms}", file.display(), head.format)?;
     for remark in &remarks {
         say!("  remark: {remark}")?;
     }

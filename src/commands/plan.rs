@@ -17,7 +17,7 @@ use periscope::store::runs::RunRecord;
 use serde_json::json;
 
 use super::interrupt::cancel_on_signals;
-use super::output::{Format, Output, Rows, note, print};
+use super::output::{self, Format, Output, Rows, note, print};
 use super::run::{campaigns, or_declared, reference, results};
 
 /// Arguments of `plan`.
@@ -114,7 +114,7 @@ fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> R
     let work = Work { campaigns: campaigns.iter().map(|campaign| campaign.root.clone()).collect(), ..work };
     let Dealt { work, shards, cut, uncut } = shards::deal(&plan, work, count)?;
     for why in uncut {
-        note!("a part that is more than a fair share is not cut: {why}");
+        note!("a part that is larger than a shard should be is not cut: {why}");
     }
     let mut pieces = Vec::new();
     for (key, cut) in cut.iter().flat_map(|(_, _, pieces)| pieces) {
@@ -140,10 +140,11 @@ fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> R
     list(listed, args.output.format)?;
     let dealt = job.shards.len();
     if dealt == 0 {
-        note!("nothing is missing that shards make; `periscope gather --out {}` makes the rest", out.display());
+        note!("no shard is left to compute; `periscope gather --out {}` computes the rest", out.display());
     } else if dealt < count {
         note!(
-            "{dealt} shards and not {count}: a shard holds whole parts, or a piece of one; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them"
+            "{} instead of {count}: a shard holds whole parts, or a piece of one; a smaller `part_bytes` in [campaign] of campaign.toml makes more of them",
+            output::count(dealt, "shard", "shards")
         );
     }
     Ok(ExitCode::SUCCESS)

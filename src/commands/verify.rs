@@ -15,7 +15,7 @@ use periscope::pipeline::roots::{self, Root};
 use periscope::store::{Digest, Shelf, StageId, verify as store};
 use serde_json::{Value, json};
 
-use super::output::{Format, Output, Rows, json, note, print, say};
+use super::output::{Format, Output, Rows, count, json, note, print, say};
 
 /// Arguments of `verify`.
 #[derive(Args)]
@@ -50,7 +50,7 @@ struct Verification {
 impl Verification {
     fn add(&mut self, file: &Path, what: impl ToString, fix: impl ToString) {
         let (what, fix) = (what.to_string(), fix.to_string());
-        self.findings.push(json!({ "file": file, "what": what, "mend": fix }));
+        self.findings.push(json!({ "file": file, "what": what, "fix": fix }));
     }
 }
 
@@ -75,7 +75,7 @@ pub fn verify(args: &Verify) -> Result<ExitCode> {
             print(json(&json!({ "ok": whole, "findings": findings, "notes": notes, "looked_at": looked_at }))?)?;
         }
         Format::Csv => {
-            Rows::of(&["file", "tables", "what", "damage", "mend"], &verification.findings)?.print(Format::Csv)?;
+            Rows::of(&["file", "tables", "what", "damage", "fix"], &verification.findings)?.print(Format::Csv)?;
         }
     }
     Ok(if whole { ExitCode::SUCCESS } else { ExitCode::FAILURE })
@@ -87,14 +87,18 @@ fn tell(dir: &Path, verification: &Verification) -> Result<()> {
         let text = |key: &str| finding[key].as_str().unwrap_or_default();
         let tables: Vec<&str> = finding["tables"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
         let of = if tables.is_empty() { String::new() } else { format!(" (table {})", tables.join(", ")) };
-        say!("{}{of} {}\n    {}", text("file"), text("what"), text("mend"))?;
+        say!("{}{of} {}\n    {}", text("file"), text("what"), text("fix"))?;
     }
     verification.notes.iter().for_each(|remark| note!("note: {remark}"));
     let outcome = match verification.findings.len() {
-        0 => "all is as it was written".to_owned(),
-        faults => format!("faults: {faults}"),
+        0 => "no damage".to_owned(),
+        faults => count(faults, "fault", "faults"),
     };
-    say!("verified {}: {}: {outcome}", dir.display(), verification.looked_at.join("; "))
+    let checked = match verification.looked_at.as_slice() {
+        [] => String::new(),
+        checked => format!("{}: ", checked.join("; ")),
+    };
+    say!("verified {}: {checked}{outcome}", dir.display())
 }
 
 /// Checks a campaign folder: its raw files against its seal.
@@ -112,8 +116,8 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
     let Some(manifest) = manifest else {
         verification.add(
             Path::new("manifest.json"),
-            "is not there: the campaign is not sealed",
-            "`periscope seal` records what its files hold now",
+            "is missing: the campaign is not sealed",
+            "`periscope seal` records the content of its files",
         );
         return Ok(());
     };
@@ -136,8 +140,8 @@ fn campaign(args: &Verify, verification: &mut Verification) -> Result<()> {
         .collect();
     if !new.is_empty() {
         verification.notes.push(format!(
-            "{} files came since the campaign was sealed; `periscope seal --update` lets them join: {}",
-            new.len(),
+            "{} not in the seal; `periscope seal --update` adds them: {}",
+            count(new.len(), "new file is", "new files are"),
             new.join(", ")
         ));
     }
@@ -157,7 +161,7 @@ fn settings(root: &Path, seal: &Manifest, verification: &mut Verification) -> Re
         let file = root.join(CAMPAIGN_FILE);
         verification.add(&file, "is not in the seal", "`periscope seal --update` takes it in");
     }
-    verification.looked_at.push(format!("{} files of settings", seal.settings().len()));
+    verification.looked_at.push(count(seal.settings().len(), "file of settings", "files of settings"));
     Ok(())
 }
 
@@ -167,28 +171,24 @@ fn raw_files(campaign: &Campaign, manifest: &Manifest, rehash: bool, verificatio
     for file in &audit.changed {
         verification.add(
             &campaign.path_of(file),
-            "has another content than was recorded",
+            "differs from the recorded content",
             "restore it; if the change is meant, seal the campaign anew and choose a new --out",
         );
     }
     for file in &audit.gone {
-        verification.add(
-            &campaign.path_of(file),
-            "is gone",
-            "restore it; if it is not to come back, take its line out of the manifest",
-        );
+        verification.add(&campaign.path_of(file), "is gone", "restore it, or delete its line in the manifest");
     }
     if !audit.touched.is_empty() {
         verification.notes.push(format!(
-            "{} raw files of campaign {} have another time or inode, and the same content",
-            audit.touched.len(),
+            "{} of campaign {} with the recorded content, and another time or inode",
+            count(audit.touched.len(), "raw file", "raw files"),
             campaign.name
         ));
     }
     let how = if rehash { "content" } else { "size, times and inode" };
     verification.looked_at.push(format!(
-        "{} raw files of campaign {} by {how}",
-        manifest.iter().count(),
+        "{} of campaign {} by {how}",
+        count(manifest.iter().count(), "raw file", "raw files"),
         campaign.name
     ));
     Ok(())
@@ -216,8 +216,13 @@ fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
     let report = store::verify(&shelf)?;
     let counts = report.counts;
     verification.looked_at.push(format!(
-        "{} tables, {} parts, {} files of {} bytes, {} runs; {} lineages followed",
-        counts.tables, counts.parts, counts.files, counts.bytes, counts.runs, counts.followed
+        "{}, {}, {} of {} bytes, {}; {} followed",
+        count(counts.tables, "table", "tables"),
+        count(counts.parts, "part", "parts"),
+        count(counts.files, "file", "files"),
+        counts.bytes,
+        count(counts.runs, "run", "runs"),
+        count(counts.followed, "lineage", "lineages")
     ));
     verification.notes.extend(report.notes);
     for finding in &report.findings {
@@ -240,7 +245,14 @@ fn results(args: &Verify, verification: &mut Verification) -> Result<()> {
     }
     // Otherwise damaged files would be named twice.
     if verification.findings.is_empty() {
-        report.sources.iter().for_each(|(id, parts)| root(args, id, parts, &campaigns, &shelf, verification));
+        let mut followed = BTreeMap::<&str, usize>::new();
+        for (id, parts) in &report.sources {
+            *followed.entry(&id.kind).or_default() += root(args, id, parts, &campaigns, &shelf, verification);
+        }
+        for (kind, parts) in followed.into_iter().filter(|(_, parts)| *parts > 0) {
+            let parts = count(parts, &format!("part of {kind} follows"), &format!("parts of {kind} follow"));
+            verification.looked_at.push(format!("{parts} from the raw files"));
+        }
     }
     if args.repair {
         store::repair(&report.findings)?;
@@ -272,7 +284,7 @@ fn notes(shelf: &Shelf, verification: &mut Verification) -> Result<(BTreeMap<Str
     Ok((manifests, damaged))
 }
 
-/// Checks the parts of a source against the raw files.
+/// Checks the parts of a source against the raw files; returns how many follow from them.
 fn root(
     args: &Verify,
     id: &StageId,
@@ -280,28 +292,26 @@ fn root(
     campaigns: &[Campaign],
     shelf: &Shelf,
     verification: &mut Verification,
-) {
+) -> usize {
     match roots::follow(id, parts, campaigns, shelf) {
         Root::Followed { parts, other } => {
-            verification.looked_at.push(format!("{parts} parts of {} follow from the raw files", id.kind));
             if other > 0 {
-                verification.notes.push(format!(
-                    "{other} parts of {} come from raw files that are others now, or not in the campaign any more",
-                    id.kind
-                ));
+                let others = count(other, "part of", "parts of");
+                verification.notes.push(format!("raw files of {others} {} have changed or left the campaign", id.kind));
             }
+            return parts;
         }
-        Root::Unknown => verification.notes.push(format!(
-            "{} parts of {}: the files that they come from were not looked at",
-            parts.len(),
-            id.kind
-        )),
+        Root::Unknown => {
+            let parts = count(parts.len(), "part of", "parts of");
+            verification.notes.push(format!("raw files of {parts} {} were not checked", id.kind));
+        }
         Root::Refused(why) => verification.add(
             &args.dir,
-            format!("cannot be followed to its raw files: {why}"),
+            format!("cannot be traced to its raw files: {why}"),
             "fix the campaign, or give the right one with --campaign",
         ),
     }
+    0
 }
 
 /// The given campaigns, or those of the last run.

@@ -19,7 +19,7 @@ use periscope::store::runs::RunRecord;
 use super::check::report::Report;
 use super::check::{self, coverage};
 use super::interrupt::is_interruption;
-use super::output::note;
+use super::output::{count, note};
 use super::run::{Job, campaigns};
 
 /// A file that changed less than this ago may still be open for writing.
@@ -120,10 +120,11 @@ fn tell(number: usize, before: &[Settled], settled: &[Settled], waiting: usize, 
     };
     let new: usize = settled.iter().zip(before).map(of_folder).sum();
     let state = match outcome {
-        Ok(_) => "its tables are whole".to_owned(),
+        Ok(_) => "its tables are complete".to_owned(),
         Err(error) => format!("not yet: {error:#}"),
     };
-    note!("pass {number}: {files} files, {new} new or changed, {waiting} still being written: {state}");
+    let files = count(files, "file", "files");
+    note!("pass {number}: {files}, {new} new or changed, {waiting} still being written: {state}");
 }
 
 fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result<Outcome> {
@@ -137,7 +138,7 @@ fn pass(job: &Job<'_>, campaigns: &[Campaign], record: &mut RunRecord) -> Result
         let survey = campaign.survey()?;
         let left_out = left_out(&campaign.root, &survey, Manifest::load(&campaign.root)?.as_ref());
         coverage::fill(&mut report, campaign, &survey, &[], &left_out, &BTreeSet::new());
-        report.mend.iter().for_each(|missing| note!("still missing in {}: {missing}", campaign.name));
+        report.fix.iter().for_each(|missing| note!("still missing in {}: {missing}", campaign.name));
     }
     Ok(outcome)
 }

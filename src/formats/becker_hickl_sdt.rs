@@ -116,8 +116,9 @@ impl Reader for BeckerHicklSdt {
         let file = File::read(input)?;
         let (mut records, mut left_out) = (Vec::new(), None);
         let mut at = file.first_block;
+        let mut description = None;
         for number in 0..file.blocks {
-            let block = Block::read(input, &file, at)?;
+            let block = Block::read(input, &file, at, &mut description)?;
             match block.contents() {
                 Some(other) => left_out = Some(other),
                 None => block.curves(input, self.format(), &mut records)?,
@@ -196,7 +197,7 @@ impl File {
 /// A block: its header and its measurement description.
 struct Block {
     header: Fields,
-    description: Fields,
+    description: Arc<Fields>,
     kind: u16,
     data: u64,
     next: u64,
@@ -204,7 +205,8 @@ struct Block {
 }
 
 impl Block {
-    fn read(input: &mut dyn Input, file: &File, at: u64) -> Result<Self, FormatError> {
+    /// `last` is the description of the block before: thousands of blocks have the same.
+    fn read(input: &mut dyn Input, file: &File, at: u64, last: &mut Option<Arc<Fields>>) -> Result<Self, FormatError> {
         let header = Fields::read(input, "the header of a data block", at, BLOCK_HEADER_BYTES)?;
         let (data, next) = if file.revision >= REVISION_LONG_OFFSETS {
             let long = |low: usize, high: usize| u64::from(header.u32(low)) | u64::from(header.bytes[high]) << 32;
@@ -218,10 +220,16 @@ impl Block {
             return Err(header.refuse(12, problem));
         }
         let place = file.descriptions + u64::from(number) * file.description_bytes;
-        let known = file.description_bytes.min(DESCRIPTION_BYTES);
-        let mut description = Fields::read(input, "a measurement description", place, known)?;
-        // Older software does not have the last fields; zeros say so.
-        description.bytes.resize(DESCRIPTION_BYTES as usize, 0);
+        let description = if let Some(same) = last.take().filter(|last| last.start == place) {
+            same
+        } else {
+            let known = file.description_bytes.min(DESCRIPTION_BYTES);
+            let mut description = Fields::read(input, "a measurement description", place, known)?;
+            // Older software does not have the last fields; zeros say so.
+            description.bytes.resize(DESCRIPTION_BYTES as usize, 0);
+            Arc::new(description)
+        };
+        *last = Some(Arc::clone(&description));
         let (kind, length) = (header.u16(10), u64::from(header.u32(18)));
         Ok(Self { header, description, kind, data, next, length })
     }

@@ -371,13 +371,15 @@ fn waves(input: &mut dyn Input, head: &Numbers, extended: Option<(u64, u32)>) ->
     }
     if is_external || !is_internal && input.companion().is_some() {
         let waves = input.companion().ok_or_else(|| {
-            head.refuse(6, "has no samples: put the file of the same name with ending .wdp beside it")
+            head.refuse(6, "has no samples: put the file of the same name with ending .wdp next to it")
         })?;
         extended_record(input, waves.start, waves.end)?;
         return Ok(waves);
     }
     if !is_internal || start < HEAD_1_3 {
-        return Err(head.refuse(227, "its waveform packets are neither in the file nor said to be in a .wdp beside it"));
+        return Err(
+            head.refuse(227, "its waveform packets are neither in the file nor said to be in a .wdp next to it")
+        );
     }
     let length = extended_record(input, start, length_of_file)?;
     let number = Numbers::little(input.peek("the head of the packets", start, EXTENDED)?, start);

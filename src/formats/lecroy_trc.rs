@@ -195,7 +195,7 @@ impl Descriptor {
             return Ok(segments.max(1));
         }
         let problem = format!(
-            "SUBARRAY_COUNT = 0 beside {times} trigger times: read as {times} segments of {} samples",
+            "SUBARRAY_COUNT = 0, but there are {times} trigger times: read as {times} segments of {} samples",
             count / times
         );
         input.remark(self.0.origin + 144, problem);

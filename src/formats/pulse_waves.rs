@@ -117,7 +117,7 @@ impl File {
     fn open(input: &mut dyn Input) -> Result<Self, FormatError> {
         let waves = input.companion().ok_or_else(|| FormatError::Field {
             byte_offset: 0,
-            problem: "has no samples: put the file of the same name with ending .wvs beside it".to_owned(),
+            problem: "has no samples: put the file of the same name with ending .wvs next to it".to_owned(),
         })?;
         let head = Numbers::head(input, HEAD)?;
         let (head_bytes, start, count) = (u64::from(head.u16(174)), head.u64(176), head.u64(184));
@@ -347,7 +347,7 @@ fn appended(
 fn check_waves(input: &mut dyn Input, start: u64) -> Result<(), FormatError> {
     let head = Numbers::little(input.bytes("the head of the .wvs", start, WAVES_HEAD)?, start);
     if !head.bytes.starts_with(WAVES) {
-        return Err(head.refuse(0, "the .wvs beside it is no PulseWaves file; copy it again"));
+        return Err(head.refuse(0, "the .wvs next to it is no PulseWaves file; copy it again"));
     }
     if head.u32(16) != 0 {
         let mend = "unpack it with `pulsezip`";

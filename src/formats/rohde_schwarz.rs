@@ -67,7 +67,7 @@ impl Reader for RohdeSchwarz {
         input.uses(0..if is_line_end { input.length() } else { settings.end });
         let Some(companion) = input.companion() else {
             let problem =
-                "the samples lie in a second file of the same name that ends in .Wfm.bin; copy it beside this one";
+                "the samples lie in a second file of the same name that ends in .Wfm.bin; copy it next to this one";
             return Err(field(0, problem));
         };
         let layout = Layout::new(&settings, input, companion)?;

@@ -10,6 +10,8 @@ use std::sync::Arc;
 
 /// Bytes of a file that are in memory at a time while its codes are passed on.
 const PIECE_BYTES: usize = 1 << 17;
+/// Bytes of a file that are read straight to where they are wanted, at a time.
+const LARGE_PIECE_BYTES: usize = 1 << 22;
 
 /// What a record holds. Only some kinds can be timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +73,26 @@ pub enum CodeType {
     F32,
     /// Floating, 64 bits.
     F64,
+}
+
+/// Evaluates an expression for the number that a code is.
+macro_rules! by_type {
+    ($code_type:expr, $number:ident => $value:expr) => {
+        match $code_type {
+            CodeType::I8 => by_type!(@ $number = i8, $value),
+            CodeType::U8 => by_type!(@ $number = u8, $value),
+            CodeType::I16 => by_type!(@ $number = i16, $value),
+            CodeType::U16 => by_type!(@ $number = u16, $value),
+            CodeType::I32 => by_type!(@ $number = i32, $value),
+            CodeType::U32 => by_type!(@ $number = u32, $value),
+            CodeType::F32 => by_type!(@ $number = f32, $value),
+            CodeType::F64 => by_type!(@ $number = f64, $value),
+        }
+    };
+    (@ $number:ident = $type:ty, $value:expr) => {{
+        type $number = $type;
+        $value
+    }};
 }
 
 impl CodeType {
@@ -136,28 +158,39 @@ impl CodeType {
 
     /// Applies `value` to each code as it is decoded: one pass, since memory bandwidth limits the speed.
     fn decode_as(self, codes: &[u8], value: impl Fn(f64) -> f64) -> Vec<f64> {
-        macro_rules! numbers {
-            ($number:ty) => {
-                codes
-                    .chunks_exact(size_of::<$number>())
-                    .map(|code| {
-                        let code = <$number>::from_le_bytes(code.try_into().expect("chunks have the code's size"));
-                        value(f64::from(code))
-                    })
-                    .collect()
-            };
-        }
-        match self {
-            Self::I8 => numbers!(i8),
-            Self::U8 => numbers!(u8),
-            Self::I16 => numbers!(i16),
-            Self::U16 => numbers!(u16),
-            Self::I32 => numbers!(i32),
-            Self::U32 => numbers!(u32),
-            Self::F32 => numbers!(f32),
-            Self::F64 => numbers!(f64),
-        }
+        by_type!(self, Number => numbers::<Number>(codes).map(value).collect())
     }
+
+    /// The same into values that are there: as many as codes.
+    fn decode_into(self, codes: &[u8], target: &mut [f64], value: impl Fn(f64) -> f64) {
+        by_type!(self, Number => {
+            target.iter_mut().zip(numbers::<Number>(codes)).for_each(|(target, code)| *target = value(code));
+        });
+    }
+}
+
+/// Numbers of one type from little-endian bytes.
+trait LittleEndian: Sized {
+    /// Bytes of a number.
+    const BYTES: usize = size_of::<Self>();
+    /// A number from as many bytes.
+    fn number(bytes: &[u8]) -> f64;
+}
+
+macro_rules! little_endian {
+    ($($number:ty),*) => {
+        $(impl LittleEndian for $number {
+            fn number(bytes: &[u8]) -> f64 {
+                f64::from(Self::from_le_bytes(bytes.try_into().expect("chunks have the code's size")))
+            }
+        })*
+    };
+}
+
+little_endian!(i8, u8, i16, u16, i32, u32, f32, f64);
+
+fn numbers<N: LittleEndian>(codes: &[u8]) -> impl Iterator<Item = f64> {
+    codes.chunks_exact(N::BYTES).map(N::number)
 }
 
 /// Volts of a code: gain * code + offset.
@@ -365,12 +398,132 @@ impl Record {
         Ok(codes)
     }
 
+    /// Reads the codes of some samples of records of one type into `target`, one record after another, little-endian.
+    /// Codes that lie in the file as they are asked for go straight there, and those of records that follow one another
+    /// in one go. `pause` is called between pieces.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    ///
+    /// # Panics
+    /// When a record does not have these samples, or `target` is not as long as their codes.
+    pub fn read_into(
+        records: &[Self],
+        file: &mut dyn ReadSeek,
+        samples: &Range<usize>,
+        target: &mut [u8],
+        pause: &mut dyn FnMut(),
+    ) -> io::Result<()> {
+        let (mut records, mut rest) = (records, target);
+        while let Some(first) = records.first() {
+            let width = first.head.code_type.bytes();
+            let bytes = samples.len() * width;
+            let Some((start, big_endian)) = first.place_of(samples) else {
+                first.visit(file, samples.clone(), &mut |codes| {
+                    pause();
+                    let (here, after) = std::mem::take(&mut rest).split_at_mut(codes.len());
+                    here.copy_from_slice(codes);
+                    rest = after;
+                })?;
+                records = &records[1..];
+                continue;
+            };
+            let follows =
+                |(record, n): &(&Self, u64)| record.place_of(samples) == Some((start + n * bytes as u64, big_endian));
+            let count = records.iter().zip(0..).take_while(follows).count();
+            let (here, after) = std::mem::take(&mut rest).split_at_mut(count * bytes);
+            file.seek(SeekFrom::Start(start))?;
+            for piece in here.chunks_mut(LARGE_PIECE_BYTES) {
+                pause();
+                file.read_exact(piece)?;
+                if big_endian {
+                    first.head.code_type.swap_bytes(piece);
+                }
+            }
+            (records, rest) = (&records[count..], after);
+        }
+        assert!(rest.is_empty(), "the target has room for the codes, and no more");
+        Ok(())
+    }
+
+    /// Where the codes of some samples begin and whether they are big-endian, if they lie one after another.
+    fn place_of(&self, samples: &Range<usize>) -> Option<(u64, bool)> {
+        assert!(samples.start <= samples.end && samples.end <= self.head.samples, "samples of another record");
+        let (byte_offset, big_endian) = self.contiguous()?;
+        Some((byte_offset + (samples.start * self.head.code_type.bytes()) as u64, big_endian))
+    }
+
+    /// Scaled values of codes as [`Record::values`] has them, into `target`: as many.
+    pub fn values_into(&self, codes: &[u8], target: &mut [f64]) {
+        match self.head.scale {
+            Some(Scale { gain, offset }) => {
+                self.head.code_type.decode_into(codes, target, |code| gain * code + offset);
+            }
+            None => self.head.code_type.decode_into(codes, target, |code| code),
+        }
+    }
+
     /// Scaled values of codes, or the codes themselves where the file has no scale.
     #[must_use]
     pub fn values(&self, codes: &[u8]) -> Vec<f64> {
         match self.head.scale {
             Some(Scale { gain, offset }) => self.head.code_type.decode_as(codes, |code| gain * code + offset),
             None => self.head.code_type.decode(codes),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    fn record(code_type: CodeType, payload: Payload) -> Record {
+        let scale = Some(Scale { gain: 0.5, offset: 1.0 });
+        Record {
+            head: Arc::new(Head { scale, ..Head::new("test", code_type, 4) }),
+            segment: None,
+            t0_s: None,
+            trigger_s: None,
+            payload,
+        }
+    }
+
+    /// Records that follow one another, stand apart, lie backwards, are interleaved or decoded: as one by one.
+    #[test]
+    fn many_records_are_read_as_one_by_one() {
+        let bytes: Vec<u8> = (0..=255).collect();
+        for (code_type, big_endian) in [(CodeType::U8, false), (CodeType::I16, false), (CodeType::U16, true)] {
+            let width = code_type.bytes() as u64;
+            let at = |byte_offset: u64, stride: u64| Payload::File { byte_offset, stride, big_endian };
+            let decoded: Arc<[u8]> = (0..4 * width as u8).collect();
+            let payloads = [
+                at(10, width),
+                at(10 + 4 * width, width),
+                at(10 + 8 * width, width),
+                at(100, width),
+                at(60, width),
+                at(120, 2 * width),
+                Payload::Decoded(decoded),
+                at(180, width),
+                at(180 + 4 * width, width),
+            ];
+            let records: Vec<Record> = payloads.map(|payload| record(code_type, payload)).into();
+            let mut file = Cursor::new(&bytes);
+            for samples in [0..4, 1..3, 2..2] {
+                let expected: Vec<u8> =
+                    records.iter().flat_map(|record| record.read(&mut file, samples.clone()).unwrap()).collect();
+                let mut target = vec![0; expected.len()];
+                let mut pieces = 0;
+                Record::read_into(&records, &mut file, &samples, &mut target, &mut || pieces += 1).unwrap();
+                assert_eq!(target, expected);
+                // Whole records that follow one another are one piece, parts of them are not.
+                assert!(samples != (0..4) || pieces == 6, "{pieces}");
+                let mut values = vec![0.0; target.len() / width as usize];
+                records[0].values_into(&target, &mut values);
+                assert_eq!(values, records[0].values(&expected));
+            }
         }
     }
 }

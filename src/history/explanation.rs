@@ -162,7 +162,7 @@ impl Explainer<'_> {
             }
             if !self.ancestry.inputs_fit(&table) {
                 remarks.push(format!(
-                    "what `{label}` was made from is not on the shelf any more; shown is what stands there now"
+                    "the inputs of `{label}` are no longer stored; this shows the tables that are there now"
                 ));
             }
         }

@@ -11,6 +11,7 @@ pub mod progress;
 mod recipe;
 pub mod recorded;
 pub mod rejects;
+pub mod responses;
 pub mod roots;
 pub mod run;
 pub mod settings;

@@ -90,7 +90,7 @@ pub struct Progress {
     listener: Option<Listener>,
     pass: Mutex<Option<Pass>>,
     read: AtomicU64,
-    set_aside: AtomicU64,
+    rejected: AtomicU64,
 }
 
 /// The current pass.
@@ -107,7 +107,7 @@ impl Progress {
     /// Shows progress in this style.
     #[must_use]
     pub fn new(style: Style) -> Self {
-        Self { style, listener: None, pass: Mutex::new(None), read: AtomicU64::new(0), set_aside: AtomicU64::new(0) }
+        Self { style, listener: None, pass: Mutex::new(None), read: AtomicU64::new(0), rejected: AtomicU64::new(0) }
     }
 
     /// Hands the objects of [`Style::Json`] to a listener in place of standard error, ten a second at most.
@@ -127,7 +127,7 @@ impl Progress {
     /// Starts a pass that makes these tables from this amount; `whole` of the `wanted` tables are finished.
     pub(super) fn pass(&self, headings: &[&str], amount: Amount, whole: usize, wanted: usize) {
         self.read.store(0, Ordering::Relaxed);
-        self.set_aside.store(0, Ordering::Relaxed);
+        self.rejected.store(0, Ordering::Relaxed);
         let tables = headings.join(", ");
         let place = format!("[{whole}/{wanted}]");
         let bar = (self.style == Style::Bar).then(|| bar(place.clone(), tables.clone(), amount));
@@ -175,8 +175,8 @@ impl Progress {
     }
 
     /// Adds rejected rows.
-    pub(super) fn set_aside(&self, rows: u64) {
-        self.set_aside.fetch_add(rows, Ordering::Relaxed);
+    pub(super) fn rejected(&self, rows: u64) {
+        self.rejected.fetch_add(rows, Ordering::Relaxed);
     }
 
     /// Ends the pass, with all its tables finished. A failing pass prints nothing: its bar disappears.
@@ -184,14 +184,14 @@ impl Progress {
         let Some(pass) = self.pass.lock().unwrap_or_else(PoisonError::into_inner).take() else { return };
         let elapsed = pass.started.elapsed();
         let read = self.read.load(Ordering::Relaxed);
-        let set_aside = self.set_aside.load(Ordering::Relaxed);
-        let aside = if set_aside > 0 { format!(", {set_aside} rejected") } else { String::new() };
+        let rejected = self.rejected.load(Ordering::Relaxed);
+        let aside = if rejected > 0 { format!(", {rejected} rejected") } else { String::new() };
         let summary = format!("{} in {:.2} s{aside}", pass.amount.text(read as f64), elapsed.as_secs_f64());
         match self.style {
             Style::Json => {
                 let mut done = json_line("done", &pass, read, elapsed);
                 done["tables"] = json!(pass.tables);
-                done["set_aside"] = json!(set_aside);
+                done["rejected"] = json!(rejected);
                 self.send(&done);
             }
             Style::Bar => {
@@ -199,7 +199,7 @@ impl Progress {
                 note!("{}: {summary}", pass.tables.join(", "));
             }
             // A line for slow passes: who reads a log wants to know what took long.
-            Style::Lines if elapsed >= LINE_FIRST || set_aside > 0 => note!("  {summary}"),
+            Style::Lines if elapsed >= LINE_FIRST || rejected > 0 => note!("  {summary}"),
             Style::Lines | Style::Silent => {}
         }
     }

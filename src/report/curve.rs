@@ -7,6 +7,7 @@
 //! | not in the table | taken |
 //! |---|---|
 //! | whether the stage stretched the response, and by how much | of the calibration's width and that of `response_width`, whichever fits better; where neither comes near the chi-square of the stage, the width that fits best |
+//! | heights of pulses that were fitted to a profile and its reciprocal one together, in the latter | by least squares |
 //! | the number of components of a moving baseline (`ground_v`) | as many as the stage tries, with equal variances |
 
 use crate::priors::calibration::{self, Calibrated};
@@ -40,6 +41,9 @@ pub struct Explanation<'a> {
     pub width: Option<[f64; 2]>,
     /// Standard deviation of a baseline that moves.
     pub ground_v: f64,
+    /// Whether the pulses stand in the row of the reciprocal profile: this one has their times and widths, and heights
+    /// of its own, which no table has.
+    pub is_reciprocal: bool,
 }
 
 /// A profile in times of flight, with the curve through it.
@@ -54,6 +58,8 @@ pub struct Curve {
     pub sd_v: Vec<f64>,
     /// Baseline and pulses.
     pub fitted_v: Vec<f64>,
+    /// The pulses, with the sign of the record.
+    pub impulses: Vec<Impulse>,
     /// Chi-square of what the curve leaves, whitened, over its degrees of freedom.
     pub chi2_dof: f64,
 }
@@ -86,6 +92,7 @@ impl Curve {
             measured_v: signed(flight.mean_v),
             sd_v: best.sd_v,
             fitted_v: signed(best.fitted_v),
+            impulses: best.impulses,
             chi2_dof: best.chi2_dof,
         })
     }
@@ -159,6 +166,7 @@ fn pulse(impulse: &Impulse, polarity: f64) -> Pulse {
 
 /// Pulses of one response, upwards, on the baseline that fits best.
 struct Fit {
+    impulses: Vec<Impulse>,
     fitted_v: Vec<f64>,
     sd_v: Vec<f64>,
     chi2_dof: f64,
@@ -173,7 +181,12 @@ impl Fit {
         unpiled: Option<&Unpiled>,
     ) -> Self {
         let len = flight.mean_v.len();
-        let pulses_v = pulses_v(explanation.impulses, response, polarity, (flight.t0_ps, flight.dt_ps, len));
+        let impulses = if explanation.is_reciprocal {
+            with_own_heights(flight, response, polarity, explanation)
+        } else {
+            explanation.impulses.to_vec()
+        };
+        let pulses_v = pulses_v(&impulses, response, polarity, (flight.t0_ps, flight.dt_ps, len));
         let sd_v = unpiled.map_or_else(|| flight.sd_v.clone(), |unpiled| counted_sd(unpiled, &pulses_v));
         let left_v: Vec<f64> = flight.mean_v.iter().zip(&pulses_v).map(|(mean, pulses)| mean - pulses).collect();
         let whitener = Whitener::new(&sd_v, &flight.acf);
@@ -185,8 +198,39 @@ impl Fit {
         let samples = sd_v.iter().filter(|sd_v| sd_v.is_finite()).count();
         let freedom = samples.saturating_sub(parameters + 2).max(1);
         let fitted_v = pulses_v.iter().zip(&under_v).map(|(pulses, under)| pulses + under).collect();
-        Self { fitted_v, sd_v, chi2_dof: chi2 / freedom as f64 }
+        Self { impulses, fitted_v, sd_v, chi2_dof: chi2 / freedom as f64 }
     }
+}
+
+/// Pulses with the heights that fit this record best, over a line, at their times. Where the record does not determine
+/// them they stay.
+fn with_own_heights(
+    flight: &FlightProfile,
+    response: &Response,
+    polarity: f64,
+    explanation: &Explanation<'_>,
+) -> Vec<Impulse> {
+    let len = flight.mean_v.len();
+    let whitener = Whitener::new(&flight.sd_v, &flight.acf);
+    let unit = |impulse: &Impulse| {
+        let one = Impulse { amplitude_v: polarity, ..*impulse };
+        whitener.apply(&pulses_v(&[one], response, polarity, (flight.t0_ps, flight.dt_ps, len)))
+    };
+    let under = Baseline::new(len, true, Vec::new());
+    let columns: Vec<Vec<f64>> = explanation
+        .impulses
+        .iter()
+        .map(unit)
+        .chain(under.columns.iter().map(|column| whitener.apply(column)))
+        .collect();
+    let fit = least_squares(&columns, &whitener.apply(&flight.mean_v), &vec![1.0; len]);
+    let own = |(n, impulse): (usize, &Impulse)| match &fit {
+        Some(fit) => {
+            Impulse { amplitude_v: polarity * fit.values[n], amplitude_sd_v: fit.covariance[n][n].sqrt(), ..*impulse }
+        }
+        None => *impulse,
+    };
+    explanation.impulses.iter().enumerate().map(own).collect()
 }
 
 /// Standard deviations of counts freed of pile-up, whose means are pulses over a level background.
@@ -351,7 +395,13 @@ mod tests {
             0.05 + 1e-4 * n as f64 - bell(time_ps - 3000.0) - 0.4 * bell(time_ps - 3111.3)
         };
         let record_v: Vec<f64> = (0..LEN).map(naive_v).collect();
-        let explanation = Explanation { impulses: &impulses, chi2_dof: 1.0, width: Some([1.2, 0.001]), ground_v: 0.0 };
+        let explanation = Explanation {
+            impulses: &impulses,
+            chi2_dof: 1.0,
+            width: Some([1.2, 0.001]),
+            ground_v: 0.0,
+            is_reciprocal: false,
+        };
         let curve = Curve::of(&profile(&record_v, 0.001), (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap();
         assert_eq!(curve.t0_ps, T0_PS - 500.0);
         for (n, fitted_v) in curve.fitted_v.iter().enumerate() {
@@ -361,13 +411,33 @@ mod tests {
         assert!(curve.chi2_dof < 1e-3, "{}", curve.chi2_dof);
     }
 
+    /// The pulses of the reciprocal profile, which is ten times brighter, at a second pulse of another ratio.
+    #[test]
+    fn a_reciprocal_profile_has_heights_of_its_own() {
+        let impulses = [impulse(3000.0, -10.0, 0.0), impulse(3111.3, -4.0, 0.0)];
+        let record_v: Vec<f64> = (0..LEN)
+            .map(|n| {
+                let time_ps = T0_PS - 500.0 + n as f64 * DT_PS;
+                0.05 - 1.1 * bell(time_ps - 3000.0) - 0.3 * bell(time_ps - 3111.3)
+            })
+            .collect();
+        let explanation =
+            Explanation { impulses: &impulses, chi2_dof: 1.0, width: None, ground_v: 0.0, is_reciprocal: true };
+        let curve = Curve::of(&profile(&record_v, 0.001), (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap();
+        let heights_v: Vec<f64> = curve.impulses.iter().map(|impulse| impulse.amplitude_v).collect();
+        assert!((heights_v[0] + 1.1).abs() < 1e-3 && (heights_v[1] + 0.3).abs() < 1e-3, "{heights_v:?}");
+        assert!(curve.impulses.iter().all(|impulse| (1e-5..1e-2).contains(&impulse.amplitude_sd_v)));
+        assert!(curve.chi2_dof < 1e-2, "{}", curve.chi2_dof);
+    }
+
     /// A record of a response of 0.9 of the calibration's width, of which the table says nothing.
     #[test]
     fn a_width_that_the_table_lacks_is_looked_for() {
         let impulses = [impulse(3000.0, -1.0, 0.0)];
         let narrow_v = |n: usize| -bell((T0_PS - 500.0 + n as f64 * DT_PS - 3000.0) / 0.9);
         let record_v: Vec<f64> = (0..LEN).map(narrow_v).collect();
-        let explanation = Explanation { impulses: &impulses, chi2_dof: 1.0, width: None, ground_v: 0.0 };
+        let explanation =
+            Explanation { impulses: &impulses, chi2_dof: 1.0, width: None, ground_v: 0.0, is_reciprocal: false };
         let curve =
             Curve::of(&profile(&record_v, 0.000_5), (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap();
         assert!(curve.chi2_dof < 0.1, "{}", curve.chi2_dof);
@@ -378,7 +448,8 @@ mod tests {
         let wave_v = |n: usize| 0.02 * component(3, n as f64, LEN);
         let record_v: Vec<f64> = (0..LEN).map(wave_v).collect();
         let mut profile = profile(&record_v, 0.001);
-        let explanation = Explanation { impulses: &[], chi2_dof: 1.0, width: None, ground_v: 0.0 };
+        let explanation =
+            Explanation { impulses: &[], chi2_dof: 1.0, width: None, ground_v: 0.0, is_reciprocal: false };
         let curve = |profile: &Profile| {
             Curve::of(profile, (&key(), &sensor()), &[], (None, 0.0), &explanation).unwrap().chi2_dof
         };

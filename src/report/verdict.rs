@@ -3,13 +3,18 @@
 use super::arrivals::Arrivals;
 use super::provenance::Provenance;
 use super::scene::Scene;
+use crate::campaign::count;
 use crate::geometry::maximum_likelihood::by_chance;
+use crate::history::behind::OnsetBehind;
 use crate::signal::tails::chi_square;
+use crate::stages::conclude::is_by_chance;
 use crate::store::runs::Ending;
 use crate::tables::{Decision, Fit};
 
 /// Share of the onsets without a path from which the answer explains the light in part only.
 const PATHLESS: f64 = 0.15;
+/// Flag of an onset whose profile pulses and noise do not explain.
+const MISFIT: &str = "misfit";
 
 /// The word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -86,10 +91,13 @@ impl Verdict {
     /// The worst of what run, decisions and fit say.
     pub fn of(provenance: &Provenance, scene: Option<&Scene>, arrivals: &Arrivals) -> Self {
         let mut remarks: Vec<(Word, String)> = ending(provenance).into_iter().collect();
+        if !scene.is_some_and(|scene| scene.decisions.iter().any(|row| &*row.what == "waveforms")) {
+            remarks.extend(of_waveforms(arrivals));
+        }
         match scene {
             None => remarks.push((Word::NotAsked, "no stage of this pipeline solves for positions".to_owned())),
             Some(scene) => {
-                remarks.extend(of_scene(scene));
+                remarks.extend(of_scene(scene, arrivals.iter().filter(|onset| onset.path.is_some()).count()));
                 let paths: Vec<bool> = arrivals.iter().map(|onset| onset.path.is_some()).collect();
                 remarks.extend(pathless(paths.iter().filter(|has_path| !**has_path).count(), paths.len()));
             }
@@ -125,7 +133,20 @@ fn pathless(count: usize, all: usize) -> Option<(Word, String)> {
     is_many.then(|| (Word::ExplainedInPart, format!("labels: {count} of {all} onsets have no path over the patches")))
 }
 
-fn of_scene(scene: &Scene) -> Vec<(Word, String)> {
+/// Whether pulses and noise explain the profiles, by the flags of their onsets: as the stage `conclude` judges them.
+fn of_waveforms(arrivals: &Arrivals) -> Option<(Word, String)> {
+    let profiles = arrivals.by_capture.values().filter(|onsets| !onsets.is_empty());
+    let is_misfit =
+        |onsets: &&Vec<OnsetBehind>| onsets.iter().any(|onset| onset.flags.iter().any(|flag| &**flag == MISFIT));
+    let (all, misfits) = (profiles.clone().count(), profiles.filter(is_misfit).count());
+    let word = if is_by_chance(misfits, all) { Word::Explained } else { Word::NotExplained };
+    (all > 0).then(|| {
+        (word, format!("waveforms: chi-square of {misfits} of {} exceeds noise", count(all, "profile", "profiles")))
+    })
+}
+
+/// What the scene says; `labelled` is the number of onsets with a path.
+fn of_scene(scene: &Scene, labelled: usize) -> Vec<(Word, String)> {
     let mut remarks: Vec<(Word, String)> = scene.decisions.iter().filter_map(of_decision).collect();
     let is_searched = !scene.searches.is_empty();
     if !remarks.iter().any(|(_, reason)| reason.starts_with("fit: ")) && !is_searched {
@@ -143,10 +164,10 @@ fn of_scene(scene: &Scene) -> Vec<(Word, String)> {
     }
     if remarks.is_empty() {
         let chi2_dof = scene.patches.iter().find_map(|placed| placed.patch.chi2_dof);
-        let chi2_dof = chi2_dof.map_or(String::new(), |chi2_dof| {
-            format!("; chi-square per degree of freedom is {chi2_dof:.2}, of a number that is not kept")
-        });
-        remarks.push((Word::Unchecked, format!("this pipeline keeps neither decisions nor a row of `fits`{chi2_dof}")));
+        remarks.push(chi2_dof.map_or_else(
+            || (Word::Unchecked, "no table of this pipeline has a chi-square of the positions".to_owned()),
+            |chi2_dof| of_patches(chi2_dof, labelled),
+        ));
     }
     remarks
 }
@@ -160,7 +181,7 @@ fn of_decision(row: &Decision) -> Option<(Word, String)> {
         "fit" if begins("unchecked") || begins("anchors as given") => Word::Unchecked,
         "surface" if begins("no surface") => Word::NothingFound,
         "shapes" | "meshes" if !begins("none") => Word::Explained,
-        "hidden things" if begins("nothing") || begins("cannot be told") => Word::NothingFound,
+        "hidden things" if begins("nothing") || begins("undetermined") => Word::NothingFound,
         "fit" | "waveforms" | "hidden things" => Word::Explained,
         what if what.starts_with("response of ") && !begins("as wide as calibrated") => Word::ExplainedInPart,
         _ => return None,
@@ -182,6 +203,23 @@ fn of_fit(fit: &Fit) -> (Word, String) {
     }
 }
 
+/// The same of a table of patches, which has chi-square over its degrees of freedom without their number: that is at
+/// most the number of onsets with a path.
+fn of_patches(chi2_dof: f64, labelled: usize) -> (Word, String) {
+    let numbers = 1..=labelled.max(1);
+    let within = numbers.clone().filter(|freedom| chi2_dof * *freedom as f64 <= by_chance(*freedom as f64)).count();
+    let evidence =
+        format!("chi-square per degree of freedom {chi2_dof:.2}, of 1 to {} degrees of freedom", labelled.max(1));
+    match within {
+        0 => (Word::NotExplained, format!("fit: more than noise makes ({evidence})")),
+        within if within == numbers.count() => (Word::Explained, format!("fit: {evidence}")),
+        _ => (
+            Word::Unchecked,
+            format!("fit: no table has the number of degrees of freedom, which would decide ({evidence})"),
+        ),
+    }
+}
+
 fn is_widened(fit: &Fit) -> bool {
     fit.misfit > 1.0 || fit.widened.iter().any(|factor| *factor > 1.0)
 }
@@ -189,6 +227,8 @@ fn is_widened(fit: &Fit) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::history::behind::CaptureKey;
+    use crate::tables::Onset;
 
     fn fit(chi2: f64, misfit: f64) -> Fit {
         Fit { chi2, degrees_of_freedom: 10, misfit, widened: vec![1.0; 4], ..Fit::default() }
@@ -203,6 +243,34 @@ mod tests {
         // A table of chi-square: 18.307 is its 95 % point.
         let goodness = Goodness::of(&fit(18.307, 1.0)).unwrap();
         assert!((goodness.p_value() - 0.05).abs() < 1e-5, "{}", goodness.p_value());
+    }
+
+    /// The 99.9 % points of one, four and five degrees of freedom are 10.8, 18.5 and 20.5.
+    #[test]
+    fn a_chi_square_of_unknown_freedom_is_judged_where_no_freedom_would_change_the_word() {
+        assert_eq!(of_patches(3.84, 4).0, Word::Explained);
+        assert_eq!((of_patches(4.5, 4).0, of_patches(4.5, 5).0), (Word::Explained, Word::Unchecked));
+        assert_eq!(
+            (of_patches(10.7, 1).0, of_patches(11.0, 1).0, of_patches(11.0, 40).0),
+            (Word::Explained, Word::NotExplained, Word::NotExplained)
+        );
+    }
+
+    #[test]
+    fn profiles_are_judged_by_the_flags_of_their_onsets() {
+        let arrivals = |misfits: usize| {
+            let onset = |n: usize| {
+                let flags = if n < misfits { vec![MISFIT.into()] } else { Vec::new() };
+                let capture: CaptureKey = ("c".into(), "s1".into(), 1, n as i32);
+                (capture, vec![OnsetBehind::of_onset(&Onset { flags, ..Onset::default() })])
+            };
+            let mut arrivals = Arrivals::default();
+            arrivals.by_capture.extend((0..100).map(onset));
+            arrivals
+        };
+        let word = |misfits: usize| of_waveforms(&arrivals(misfits)).map(|(word, _)| word);
+        assert_eq!((word(2), word(3)), (Some(Word::Explained), Some(Word::NotExplained)));
+        assert_eq!(of_waveforms(&Arrivals::default()), None);
     }
 
     #[test]

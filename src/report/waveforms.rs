@@ -121,6 +121,8 @@ pub struct Waveform {
     pub points: Vec<Point>,
     /// Impulses that explain it.
     pub impulses: Vec<Impulse>,
+    /// Whether it was explained together with its reciprocal profile, in whose row the impulses stand.
+    pub is_reciprocal: bool,
     /// Its onsets.
     pub onsets: Vec<OnsetBehind>,
 }
@@ -163,11 +165,13 @@ impl Waveforms {
         rest.sort();
         let mut wanted: BTreeSet<CaptureKey> = doubted.iter().map(|(_, key)| (*key).clone()).collect();
         wanted.extend(spread(&rest, PROFILES - DOUBTED).into_iter().cloned());
-        let numbers: BTreeSet<i32> = wanted.iter().map(|key| key.2).collect();
+        // Profiles that were explained together have their pulses in one row.
+        let reciprocal = |key: &CaptureKey| (key.0.clone(), key.1.clone(), key.3, key.2);
+        let numbers: BTreeSet<i32> = wanted.iter().flat_map(|key| [key.2, key.3]).collect();
         let near = [("lit", &numbers)];
         let key = |row: &Explained| (row.campaign.clone(), row.sensor.clone(), row.lit, row.seen);
         let explained: BTreeMap<CaptureKey, Explained> = sources
-            .rows_near(&near, |row: &Explained| wanted.contains(&key(row)))?
+            .rows_near(&near, |row: &Explained| wanted.contains(&key(row)) || wanted.contains(&reciprocal(&key(row))))?
             .into_iter()
             .map(|row| (key(&row), row))
             .collect();
@@ -181,7 +185,9 @@ impl Waveforms {
         let waveform = |row: Profile| {
             let capture = key(&row);
             let onsets = arrivals.by_capture.get(&capture).cloned().unwrap_or_default();
-            Waveform::new(&row, explained.get(&capture), &instrument, (capture.clone(), onsets))
+            let own = explained.get(&capture);
+            let other = explained.get(&reciprocal(&capture));
+            Waveform::new(&row, (own, other), &instrument, (capture.clone(), onsets))
         };
         let mut chosen: Vec<Waveform> = averaged.into_iter().map(waveform).collect();
         chosen.sort_by(|a, b| a.capture.cmp(&b.capture));
@@ -194,7 +200,7 @@ impl Waveforms {
 
 impl Instrument<'_> {
     /// The curve through a profile; `None` where its sensor is not calibrated, or no pulses were fitted.
-    fn curve(&self, row: &Profile, explained: &Explained) -> Option<Curve> {
+    fn curve(&self, row: &Profile, explained: &Explained, is_reciprocal: bool) -> Option<Curve> {
         let chi2_dof = explained.chi2_dof?;
         let campaign = self.campaigns.by_name.get(&*row.campaign);
         let dead_time_ps = campaign.and_then(|campaign| campaign.sensors.get(&*row.sensor)?.dead_time_ps);
@@ -207,6 +213,7 @@ impl Instrument<'_> {
             chi2_dof,
             width: width.map(|(factor, sd)| [factor / corrected, sd]),
             ground_v: explained.ground_v,
+            is_reciprocal,
         };
         let of_campaign = (period_ps, dead_time_ps.unwrap_or(0.0));
         Curve::of(row, sensor, &self.sessions, of_campaign, &explanation)
@@ -216,14 +223,23 @@ impl Instrument<'_> {
 impl Waveform {
     fn new(
         row: &Profile,
-        explained: Option<&Explained>,
+        (explained, other): (Option<&Explained>, Option<&Explained>),
         instrument: &Instrument<'_>,
         (capture, onsets): (CaptureKey, Vec<OnsetBehind>),
     ) -> Self {
-        let curve = explained.and_then(|explained| instrument.curve(row, explained));
+        // A row without pulses and without a chi-square of its own is explained by that of its reciprocal profile.
+        let is_reciprocal = row.lit > row.seen
+            && explained.is_some_and(|own| own.chi2_dof.is_none() && own.impulses.is_empty())
+            && other.is_some_and(|other| other.chi2_dof.is_some());
+        let explaining = if is_reciprocal { other } else { explained };
+        let curve = explaining.and_then(|explaining| instrument.curve(row, explaining, is_reciprocal));
         // Times of the mean have the sensor's latency in them; those of the deconvolution have not.
         let t0_ps = explained.map_or(row.t0_ps, |explained| explained.t0_ps);
-        let impulses = explained.map(|explained| explained.impulses.clone()).unwrap_or_default();
+        let impulses = match (&curve, explained) {
+            (Some(curve), _) => curve.impulses.clone(),
+            (None, Some(explained)) => explained.impulses.clone(),
+            (None, None) => Vec::new(),
+        };
         let times_ps: Vec<f64> = impulses.iter().map(|impulse| impulse.time_ps).collect();
         let samples: Vec<Point> = match &curve {
             Some(curve) => (0..curve.measured_v.len()).map(|n| fitted(curve, n)).collect(),
@@ -238,6 +254,7 @@ impl Waveform {
             acquired_at: row.acquired_at.clone(),
             is_counted: row.counts.is_some(),
             chi2_dof: explained.and_then(|explained| explained.chi2_dof),
+            is_reciprocal,
             drawn_chi2_dof: curve.map(|curve| curve.chi2_dof),
             impulses,
         }

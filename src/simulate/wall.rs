@@ -172,6 +172,9 @@ impl WallScene {
             let [columns, rows] = self.wall.points;
             return Err(format!("[wall]: points = [{columns}, {rows}]; each must be 4 to {MOST_POINTS}"));
         }
+        if self.surfaces.is_empty() {
+            return Err("there is no surface that the wall could show; describe one under [surfaces.NAME]".to_owned());
+        }
         for (name, surface) in &self.surfaces {
             if surface.normal().is_none() {
                 return Err(format!("[surfaces.{name}]: `normal` must be finite and not all zeros"));

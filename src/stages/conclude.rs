@@ -50,12 +50,14 @@
 mod relay_wall;
 mod waveforms;
 
+pub use waveforms::is_by_chance;
+
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageError};
-use crate::campaign::Campaign;
+use crate::campaign::{Campaign, count};
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
     Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Mesh, Name, ONSET_KINDS, Onset, Patch,
@@ -97,7 +99,7 @@ pub struct Context {
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -217,7 +219,7 @@ impl Context {
             .chain((fit.misfit > 1.0).then(|| format!("{:.1} times for all", fit.misfit.sqrt())))
             .collect();
         if !wider.is_empty() {
-            let chosen = format!("not explained: standard deviations are larger for it, {}", wider.join(", "));
+            let chosen = format!("not explained: the program widened standard deviations, {}", wider.join(", "));
             let text =
                 "right labels or a better instrument response; `suspects` lists the onsets that contradict the fit";
             return decision("fit", &chosen, &evidence, text);
@@ -269,13 +271,14 @@ impl Context {
     /// Whether bounces after the third make onsets.
     fn later_bounces(&self) -> Decision {
         let is_later = |label: &&Label| label.alternative == 0 && label.bounces > THIRD;
-        let count = self.labels.iter().filter(is_later).count();
-        let (chosen, evidence) = if count > 0 {
-            ("taken: a bright room", format!("{count} pulses have paths of four or five bounces"))
+        let later = self.labels.iter().filter(is_later).count();
+        let (chosen, evidence) = if later > 0 {
+            let pulses = count(later, "pulse has a path", "pulses have paths");
+            ("taken: a bright room", format!("{pulses} of four or five bounces"))
         } else {
             ("left out", "no pulse has a path of four or five bounces".to_owned())
         };
-        let would_change = "whether more onsets come at the times of fourth bounces than beside them";
+        let would_change = "more onsets at the times of fourth bounces than at other times";
         decision("later bounces", chosen, &evidence, would_change)
     }
 
@@ -331,8 +334,8 @@ impl Context {
     /// Which patches lie on planes.
     fn coplanar(&self, patches: &[&Patch]) -> Decision {
         let on_planes = |patch: &&&Patch| self.planes.iter().any(|plane| plane.patches.contains(&patch.patch));
-        let count = patches.iter().filter(on_planes).count();
-        if count == 0 {
+        let on_plane = patches.iter().filter(on_planes).count();
+        if on_plane == 0 {
             return decision(
                 "walls of the patches",
                 "none",
@@ -343,7 +346,11 @@ impl Context {
         let farthest_sd = self.planes.iter().map(|plane| plane.rms_m).fold(0.0, f64::max);
         decision(
             "walls of the patches",
-            &format!("{count} of {} patches lie on {} planes", patches.len(), self.planes.len()),
+            &format!(
+                "{on_plane} of {} on {}",
+                count(patches.len(), "patch", "patches"),
+                count(self.planes.len(), "plane", "planes")
+            ),
             &format!("largest rms distance {:.2} mm", 1e3 * farthest_sd),
             "patches measured more exactly",
         )
@@ -361,7 +368,12 @@ impl Context {
         let most_m = self.footprints.iter().map(|one| one.size_m).fold(0.0, f64::max);
         decision(
             "sizes of patches",
-            &format!("{} disks of {:.1} to {:.1} cm", self.footprints.len(), 1e2 * least_m, 1e2 * most_m),
+            &format!(
+                "{} of {:.1} to {:.1} cm",
+                count(self.footprints.len(), "disk", "disks"),
+                1e2 * least_m,
+                1e2 * most_m
+            ),
             &format!("{campaign} from campaign.toml, {widths} from the widths of their pulses"),
             "`size_m` and `normal` of patches in campaign.toml, in a fixed frame",
         )
@@ -374,7 +386,7 @@ impl Context {
         let (all, wide, blended) = (self.onsets.len(), with("extended"), with("blended"));
         decision(
             "pulse shapes",
-            &format!("{} points of light, {wide} spread in time", all - wide),
+            &format!("{} from points of light, {wide} spread in time", count(all - wide, "onset", "onsets")),
             &format!("{blended} of {all} onsets overlap a neighbour"),
             "more shots, or a sensor with a narrower response",
         )
@@ -388,7 +400,10 @@ impl Context {
             .filter_map(|onset| onset.range.as_ref())
             .for_each(|range| *ranges.entry(range).or_default() += 1);
         (ranges.len() > 1).then(|| {
-            let list: Vec<String> = ranges.iter().map(|(range, count)| format!("{range}: {count} onsets")).collect();
+            let list: Vec<String> = ranges
+                .iter()
+                .map(|(range, onsets)| format!("{range}: {}", count(*onsets, "onset", "onsets")))
+                .collect();
             let text = "a range that does not clip";
             decision("vertical ranges", &format!("{} ranges", ranges.len()), &list.join(", "), text)
         })

@@ -175,6 +175,7 @@ impl Stage for Deconvolve {
         Beside { name: "calibration", table: "calibration", required: true },
         Beside { name: "session", table: "session", required: false },
     ];
+    const RESPONSES: Option<&'static Beside> = Some(&Self::BESIDE[0]);
     const CONDITIONS: &'static [Condition] = &[
         Condition("evidence", "method", &["sparse"]),
         Condition("impulses_max", "method", &["sparse"]),

@@ -25,6 +25,7 @@ mod survey;
 mod template;
 mod ticket;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -144,6 +145,10 @@ impl OpenSource for Surveyed<'_> {
     }
     fn left_out(&self) -> &[LeftOut] {
         &self.left_out
+    }
+    fn sensors(&self) -> Option<BTreeSet<(usize, String, Role)>> {
+        let captures = self.parts.iter().flatten();
+        Some(captures.map(|capture| (capture.campaign, capture.sensor.clone(), capture.role)).collect())
     }
     fn read(&self, part: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
         part::read_part(self, part, batch_bytes, feed)

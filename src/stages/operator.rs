@@ -63,6 +63,8 @@ pub trait Operator: Send + Sync {
     fn beside(&self) -> &'static [Beside];
     /// One of them, and the number of rows up to which it is taken.
     fn rows_max(&self) -> Option<(&'static str, u64)>;
+    /// Which of them has the response of each sensor, if a sensor without one is refused.
+    fn response_of_each(&self) -> Option<&'static Beside>;
     /// Main table, then side tables.
     fn tables(&self) -> Vec<WrittenTable>;
     /// Gets ready for rows.
@@ -127,6 +129,9 @@ impl<S: Fold> Operator for S {
     }
     fn rows_max(&self) -> Option<(&'static str, u64)> {
         S::ROWS_MAX
+    }
+    fn response_of_each(&self) -> Option<&'static Beside> {
+        S::RESPONSES
     }
     fn tables(&self) -> Vec<WrittenTable> {
         let main = WrittenTable { name: S::Output::TABLE.to_owned(), schema: S::Output::schema() };

@@ -126,7 +126,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 16;
+    const VERSION: u32 = 17;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -390,8 +390,8 @@ fn unused_normals(context: &Context, is_fixed: bool, labels: &[Label]) -> Vec<Re
     if is_fixed || !context.planes.is_empty() || !has_normal {
         return Vec::new();
     }
-    let reason = "normals in campaign.toml are left aside, since no anchor, ray or station tells how the patches are turned: sizes and directions of patches are those that the widths of their onsets tell; give `planes` of \
-                 a stage `surface` beside, or anchors";
+    let reason = "normals in campaign.toml are not used: no anchor, ray or station fixes the orientation of the scene. Sizes and directions of patches come from the widths of their onsets; give anchors, \
+                 or `planes` from a stage `surface`";
     vec![Rejection::new(&labels[0].campaign, reason.to_owned())]
 }
 

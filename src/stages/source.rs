@@ -1,6 +1,6 @@
 //! What has no streamed input: parts that are read from elsewhere, within the memory budget.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::operator::WrittenTable;
 use super::stage::{Rejection, StageError};
-use crate::campaign::{Campaign, LeftOut};
+use crate::campaign::{Campaign, LeftOut, Role};
 use crate::store::Digest;
 use crate::store::finite::NotJson;
 
@@ -211,6 +211,10 @@ pub trait OpenSource: Send + Sync {
     fn parts(&self) -> &[SourcePart];
     /// What it leaves out of the campaigns: files that no rule matches, and the like.
     fn left_out(&self) -> &[LeftOut];
+    /// Its captures by campaign (as counted in the run), sensor and role; `None` where only reading shows them.
+    fn sensors(&self) -> Option<BTreeSet<(usize, String, Role)>> {
+        None
+    }
     /// Reads a part. Chunk and batch sizes are the caller's; the rows do not depend on them.
     ///
     /// # Errors

@@ -195,6 +195,8 @@ pub trait Stage: Serialize + Send + Sync + 'static {
     /// One of these, by its name, and the number of rows up to which it is taken: a larger one is not there for the
     /// stage.
     const ROWS_MAX: Option<(&'static str, u64)> = None;
+    /// Which of these has the response of each sensor, if the stage refuses a sensor that has none.
+    const RESPONSES: Option<&'static Beside> = None;
     /// Side tables that it writes.
     const SIDES: &'static [Side] = &[];
     /// Parameters that have an effect only with some values of another one.

@@ -128,8 +128,8 @@ impl Apply for Surface {
         };
         if self.groups.is_none() && planes.is_empty() {
             reasons.push(format!(
-                "no {} of the {} patches lie within {} standard deviations of a plane; name those that should in `groups`: their row tells how \
-                 far off they are",
+                "no {} of the {} patches lie within {} standard deviations of a plane; name those that should in `groups`: their row has their \
+                 distances from it",
                 self.least.get(),
                 placed.points.len(),
                 planes::NEAR
@@ -173,7 +173,7 @@ impl<'a> Placed<'a> {
                     placed.own.push(own + Matrix3::identity() * (roughness_m * roughness_m));
                 }
                 None => reasons.push(format!(
-                    "patch {} has no covariance, so nobody knows how near to a plane it should lie; give patches from `refine`",
+                    "patch {} has no covariance, so its distance from a plane cannot be judged; give patches from `refine`",
                     row.patch
                 )),
             }
@@ -207,7 +207,7 @@ impl<'a> Placed<'a> {
             match planes::fit(&self.points, &members, |a, b| self.covariance_m2(a, b)) {
                 Some(plane) => planes.push(plane),
                 None => reasons.push(format!(
-                    "the {} patches of group {group} are fewer than {EXACT} or in line, which leaves no plane: add one aside of the others",
+                    "the {} patches of group {group} are fewer than {EXACT} or in line, which determines no plane: add one off their line",
                     members.len()
                 )),
             }

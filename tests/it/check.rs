@@ -22,8 +22,8 @@ fn json(lab: &Lab, args: &[&str]) -> (Option<i32>, Value) {
 }
 
 /// Whether one of the things to fix says so.
-fn mend(report: &Value, text: &str) -> bool {
-    report["mend"].as_array().unwrap().iter().any(|mend| mend.as_str().unwrap().contains(text))
+fn fix(report: &Value, text: &str) -> bool {
+    report["fix"].as_array().unwrap().iter().any(|fix| fix.as_str().unwrap().contains(text))
 }
 
 #[test]
@@ -58,9 +58,9 @@ fn what_is_missing_or_unknown_is_a_line_and_the_rest_is_checked() {
     fs::write(&path, &text).unwrap();
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));
-    assert!(mend(&report, "2 pairs (lit, seen) are missing: capture (1, 1) (3, 4)"), "{report:#}");
+    assert!(fix(&report, "2 pairs (lit, seen) are missing: capture (1, 1) (3, 4)"), "{report:#}");
     assert!(
-        mend(&report, "1 file matches no rule") && mend(&report, "1 pattern of campaign.toml matches no file"),
+        fix(&report, "1 file matches no rule") && fix(&report, "1 pattern of campaign.toml matches no file"),
         "{report:#}"
     );
     assert_eq!(report["unmatched"][0], "raw/notes.txt");
@@ -69,7 +69,7 @@ fn what_is_missing_or_unknown_is_a_line_and_the_rest_is_checked() {
     // What is excluded is not missing.
     let exclude = "[[exclude]]\nmatch = { lit = 3, seen = 4 }\nreason = \"in the way\"\n";
     fs::write(&path, text + exclude).unwrap();
-    assert!(mend(&json(&lab, &[]).1, "1 pairs (lit, seen) are missing: capture (1, 1)"));
+    assert!(fix(&json(&lab, &[]).1, "1 pair (lit, seen) is missing: capture (1, 1)"));
 }
 
 #[test]
@@ -81,7 +81,7 @@ fn a_file_that_is_still_being_written_is_a_line_and_read_again_when_it_is_whole(
     for _ in 0..2 {
         let (code, report) = json(&lab, &["--out", "out"]);
         assert_eq!(code, Some(3));
-        assert!(report["set_aside"][0]["file"].as_str().unwrap().contains("s1_L2_P3_C1.trc"), "{report:#}");
+        assert!(report["rejected"][0]["file"].as_str().unwrap().contains("s1_L2_P3_C1.trc"), "{report:#}");
         assert!(report["sensors"][0]["missing_pairs"].as_array().unwrap().is_empty(), "{report:#}");
     }
     fs::write(&file, &whole[..whole.len() / 2]).unwrap();
@@ -100,7 +100,11 @@ fn a_campaign_that_has_only_begun_can_be_checked() {
     fs::remove_dir_all(lab.campaign().join("raw/response")).unwrap();
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));
-    assert!(mend(&report, "sensor s1 is not calibrated") && mend(&report, "capture its response"), "{report:#}");
+    assert!(fix(&report, "sensor s1 is not calibrated") && fix(&report, "capture its response"), "{report:#}");
+    assert!(
+        fix(&report, "no file shows the impulse response of sensor `s1`, which [stir] (`deconvolve`) needs"),
+        "{report:#}"
+    );
     fs::remove_dir_all(lab.campaign().join("raw")).unwrap();
     let (code, report) = json(&lab, &[]);
     assert_eq!((code, report["captures"].as_array().unwrap().len()), (Some(3), 0), "{report:#}");
@@ -114,7 +118,7 @@ fn verdicts_of_the_instrument_are_told_with_their_cause() {
     let lab = Lab::of(&faulty("saturation_v = 5.0"), 3, Format::Trc);
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));
-    assert!(mend(&report, "sensor s1: linearity fails: saturation"), "{report:#}");
+    assert!(fix(&report, "sensor s1: linearity fails: saturation"), "{report:#}");
     let checks = report["sensors"][0]["checks"].as_array().unwrap();
     assert!(checks.iter().any(|row| row["check"] == "delay_drift" && row["verdict"] == "pass"), "{report:#}");
     let text = String::from_utf8(check(&lab, &[]).stdout).unwrap();

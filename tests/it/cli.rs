@@ -234,7 +234,7 @@ fn progress_as_json_says_what_every_pass_reads_and_makes() {
     let keys = |event: &Value| event.as_object().unwrap().keys().map(String::as_str).collect::<Vec<_>>().join(" ");
     let (began, ended): (Vec<&Value>, Vec<&Value>) = events.iter().partition(|event| event["event"] == "pass");
     assert!(began.iter().all(|pass| keys(pass) == "event of tables unit wanted whole"), "{text}");
-    assert!(ended.iter().all(|done| keys(done) == "event left_s of read seconds set_aside tables unit"), "{text}");
+    assert!(ended.iter().all(|done| keys(done) == "event left_s of read rejected seconds tables unit"), "{text}");
     // Of the scene every byte is read once, of its onsets every row; each pass that begins ends, with all read.
     let bytes: u64 =
         fs::read_dir(lab.path("campaign/raw/scene")).unwrap().map(|file| file.unwrap().metadata().unwrap().len()).sum();

@@ -259,7 +259,7 @@ fn what_is_not_there_is_told_with_the_nearest() {
 #[test]
 fn text_json_and_sql_say_the_same() {
     let (onsets, files) = behind_patch_3();
-    let plain = text(&periscope(&["explain", "out", "patch=3"]).stdout);
+    let plain = text(&periscope(&["explain", "out", "patch=3", "--all"]).stdout);
     assert!(plain.starts_with("patch 3 in `patches` (refine): visible, ("), "{plain}");
     assert!(
         plain.contains("traces -> profiles -> stir -> onsets -> labels -> patches; with calibration, start, session"),
@@ -267,6 +267,15 @@ fn text_json_and_sql_say_the_same() {
     );
     assert!(files.keys().all(|(file, _)| plain.contains(file)), "{plain}");
     assert!(plain.contains("segments 0-23") && plain.lines().count() < 60, "{plain}");
+    let short = text(&periscope(&["explain", "out", "patch=3"]).stdout);
+    assert!(short.lines().count() <= 20 && short.len() < plain.len() && !short.contains("SELECT"), "{short}");
+    for line in [
+        format!("3 of {} onsets, with the largest residuals", onsets.len()),
+        format!("{} files raw/scene/", files.len()),
+        "--all lists every onset and capture; --format sql prints the queries".to_owned(),
+    ] {
+        assert!(short.contains(&line), "{line} is not in:\n{short}");
+    }
     let json = periscope(&["explain", "out", "patch=3", "--format", "json"]).stdout;
     let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
     assert_eq!(json["onsets"].as_array().unwrap().len(), onsets.len());

@@ -43,7 +43,7 @@ const COMMANDS: [(&str, bool, &str); 14] = [
     ("check --campaign campaign", false, "sensor,what,verdict,value,sd,expected,tolerance,unit,text"),
     ("explain a patch=3", false, "campaign,sensor,lit,seen,rank,path,time_ps,time_sd_ps"),
     ("diff a b", false, "table,verdict,column,unit,rows"),
-    ("verify a", false, "file,tables,what,damage,mend"),
+    ("verify a", false, "file,tables,what,damage,fix"),
     ("design scene.toml", false, "patch,kind,sd_m,chance,onsets"),
 ];
 

@@ -12,7 +12,7 @@ use periscope::simulate::Format;
 use periscope::tables::{Calibration, Decision, Distance, Fit, Label, Onset, Patch, Profile, Residual, Row, Stir};
 
 use crate::browser::Browser;
-use crate::lab::{AVERAGES, Lab, TINY, write_table};
+use crate::lab::{ALL_VISIBLE, AVERAGES, Lab, TINY, write_table};
 use crate::scope_samples::samples;
 
 /// The page of a small campaign is at most this large, and that of the largest.
@@ -166,7 +166,7 @@ fn the_head_says_when_the_last_run_failed_and_the_page_how_the_answer_grew() {
     let page = own(&page_of(&lab.path("out")));
     let head = &page[page.find("id=\"verdict\"").unwrap()..page.find("<nav").unwrap()];
     assert!(head.contains("class=\"verdict bad\"") && head.contains(" The run failed</p>"), "{head}");
-    assert!(head.contains("is not calibrated"), "{head}");
+    assert!(head.contains("no file shows the impulse response of sensor"), "{head}");
 }
 
 /// Numbers of the profiles in a page, by address.
@@ -236,6 +236,25 @@ fn fitted_curves_are_sums_of_responses_and_leave_noise() {
     // A window around one pulse has few samples.
     assert!((0.85..1.2).contains(&median) && least > 0.25, "{mean_squares:?}");
     assert!(mean_squares[mean_squares.len() - 1] < 2.0, "{mean_squares:?}");
+}
+
+/// The row of the larger `lit` has no pulses: its curve has the times of the other row, and heights of its own.
+#[test]
+fn profiles_that_were_explained_together_have_a_curve_each() {
+    let lab = Lab::tiny();
+    lab.run_with("out", ALL_VISIBLE, &["stir.joint=true".to_owned()], &Settings::default()).unwrap();
+    let records = records(&own(&page_of(&lab.path("out"))));
+    let mut together = 0;
+    for row in lab.rows::<Stir>("out", "stir") {
+        let record = &records[&format!("profile-tiny-s1-{}-{}", row.lit, row.seen)];
+        let residual = numbers(&record["residual"]);
+        let chi2 = residual.iter().map(|value| value * value).sum::<f64>() / residual.len() as f64;
+        assert!((0.2..2.0).contains(&chi2), "lit {}, seen {}: {chi2}", row.lit, row.seen);
+        let note = format!("Fitted together with lit {}, seen {},", row.seen, row.lit);
+        assert_eq!(record["note"].as_str().unwrap().contains(&note), row.chi2_dof.is_none(), "{record}");
+        together += i32::from(row.chi2_dof.is_none());
+    }
+    assert_eq!(together, 6, "pairs of four patches");
 }
 
 #[test]

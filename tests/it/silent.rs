@@ -97,7 +97,7 @@ fn a_wrong_path_in_files_is_exit_code_3() {
             "32 files match no rule of campaign.toml and are left out: raw/scene/s1_L1_P1_C1.trc",
             "Add a [[captures]] rule that takes them, or an [[exclude]] with the reason.",
             "`periscope check --campaign campaign` lists all.",
-            "`patches`, `paper` came out empty",
+            "`patches`, `paper` are empty",
         ],
     );
 }
@@ -115,7 +115,7 @@ fn missing_references_are_exit_code_3() {
         &[
             "16 files are left out, since their reference is missing: raw/scene/s1_L1_P1_C1.trc (wanted raw/scene/",
             "Copy the reference files too, or correct `reference` in the [[captures]] rule.",
-            "came out empty",
+            "`patches`, `paper` are empty",
         ],
     );
 }
@@ -127,7 +127,7 @@ fn a_stray_file_is_exit_code_3_and_excluding_it_is_the_fix() {
     fs::write(lab.campaign().join("raw/notes.txt"), "shutter was slow").unwrap();
     let text = incomplete(&lab);
     contains(&text, &["1 file matches no rule of campaign.toml and is left out: raw/notes.txt"]);
-    assert!(!text.contains("came out empty"), "{text}");
+    assert!(!text.contains("empty"), "{text}");
     let path = lab.campaign().join("campaign.toml");
     let exclude = "[[exclude]]\nmatch = { file = \"raw/notes.txt\" }\nreason = \"no recording\"\n";
     fs::write(&path, fs::read_to_string(&path).unwrap() + exclude).unwrap();

@@ -14,7 +14,7 @@ pub fn print(spec: &Spec, outcome: &Outcome, shelf: &Shelf) -> Result<()> {
     let mut steps = spec.steps.iter().rev().filter(|step| step.keep && is_done(&step.heading));
     let Some(step) = steps.find(|step| step.node.tables()[0].name == Decision::TABLE) else { return Ok(()) };
     say!(
-        "\nWhat the result rests on ({}/{} has runners-up and what would change it):",
+        "\nDecisions behind the result ({}/{} also has the second-best choices, and what would change each decision):",
         shelf.out().display(),
         step.heading
     )?;

@@ -8,7 +8,7 @@ use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::{Spec, Step};
 use periscope::store::Shelf;
 
-use super::super::output::note;
+use super::super::output::{count, note};
 
 /// Number of reasons shown; the table has all.
 const SHOWN: usize = 5;
@@ -37,14 +37,14 @@ pub fn print_rejects(shelf: &Shelf) -> Result<()> {
     }
     let kinds = kinds(&rows);
     let all = shelf.out().join("rejects");
-    let counted = if rows.len() == 1 { "1 record was".to_owned() } else { format!("{} records were", rows.len()) };
-    note!("warning: {counted} rejected; {} has all", all.display());
+    let counted = count(rows.len(), "record was", "records were");
+    note!("warning: {counted} rejected; {} lists all", all.display());
     for (count, row) in kinds.iter().take(SHOWN) {
-        let times = if *count > 1 { format!("{count} like ") } else { String::new() };
+        let times = if *count > 1 { format!("{count} such as ") } else { String::new() };
         note!("  {times}{}", words(row));
     }
     if kinds.len() > SHOWN {
-        note!("  and {} kinds more", kinds.len() - SHOWN);
+        note!("  and {}", count(kinds.len() - SHOWN, "other kind", "other kinds"));
     }
     Ok(())
 }
@@ -83,7 +83,7 @@ fn print_empty(spec: &Spec, outcome: &Outcome) -> bool {
         // A result that was lost in its own stage is named only once.
         let own = *results == [format!("`{}`", at.heading)];
         let at = if own { String::new() } else { format!("`{}` has no rows, ", at.heading) };
-        note!("warning: {} came out empty: {at}{had}", results.join(", "));
+        note!("warning: {} {} empty: {at}{had}", results.join(", "), if results.len() == 1 { "is" } else { "are" });
     }
     !lost.is_empty()
 }

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use periscope::campaign::{Campaign, LeftOut, Role, Survey};
 use periscope::tables::{Calibration, Measurement};
 
+use super::super::output::count;
 use super::report::{Captures, Pair, Report, listed};
 
 /// Sensors that record a reference pulse but have no template of it: their shots cannot be aligned.
@@ -31,10 +32,10 @@ pub fn fill(
     report.missing_references =
         missing.map(|missing| format!("{} (wanted {})", missing.file.display(), missing.wanted)).collect();
     for LeftOut { cause, items, .. } in left_out {
-        report.mend.push(format!("{}. {}", cause.words(items.len()), cause.fix()));
+        report.fix.push(format!("{}. {}", cause.words(items.len()), cause.fix()));
     }
     for sensor in uncalibrated {
-        report.mend.push(format!(
+        report.fix.push(format!(
             "sensor {sensor} is not calibrated, so that its shots are not measured: capture its response (role response) with the same reference channel"
         ));
     }
@@ -91,11 +92,13 @@ fn missing_pairs(report: &mut Report, campaign: &Campaign, sensor: &str, present
     let reciprocals = present.iter().map(|pair| Pair { lit: pair.seen, seen: pair.lit });
     let reciprocals: Vec<Pair> =
         reciprocals.filter(|pair| overlap && wanted(pair) && !missing.contains(pair)).collect();
-    for (pairs, what) in
-        [(&missing, "pairs (lit, seen) are missing"), (&reciprocals, "reciprocal pairs (lit, seen) are missing")]
-    {
+    for (pairs, one, many) in [
+        (&missing, "pair (lit, seen) is missing", "pairs (lit, seen) are missing"),
+        (&reciprocals, "reciprocal pair (lit, seen) is missing", "reciprocal pairs (lit, seen) are missing"),
+    ] {
         if !pairs.is_empty() {
-            report.mend.push(format!("sensor {sensor}: {} {what}: capture {}", pairs.len(), listed(pairs)));
+            let counted = count(pairs.len(), one, many);
+            report.fix.push(format!("sensor {sensor}: {counted}: capture {}", listed(pairs)));
         }
     }
     let entry = report.sensor(sensor);

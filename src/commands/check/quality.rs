@@ -6,7 +6,8 @@ use periscope::campaign::Role;
 use periscope::pipeline::rejects::{kinds, words};
 use periscope::tables::{self, Measurement, Name, Reject};
 
-use super::report::{CheckOfSensor, Pair, Report, Sensor, SetAside, listed};
+use super::super::output;
+use super::report::{CheckOfSensor, Pair, Rejected, Report, Sensor, listed};
 
 /// Share of clipped shots above which the range is wrong: the laser's fluctuations explain single ones.
 const CLIPPED_SHARE: f64 = 0.05;
@@ -20,17 +21,16 @@ const FAINTEST: usize = 5;
 /// Fills in the measurements.
 pub fn fill(report: &mut Report, measurements: &[Measurement], checks: Vec<tables::Check>, rejects: &[Reject]) {
     let text = |name: &Name| name.to_string();
-    let row = |row: &Reject| SetAside { file: row.file.as_ref().map(text), reason: text(&row.reason) };
-    report.set_aside = rejects.iter().map(row).collect();
+    let row = |row: &Reject| Rejected { file: row.file.as_ref().map(text), reason: text(&row.reason) };
+    report.rejected = rejects.iter().map(row).collect();
     let kinds = kinds(rejects);
     for (count, first) in kinds.iter().take(REASONS) {
-        let counted =
-            if *count == 1 { "1 file or capture is".to_owned() } else { format!("{count} files or captures are") };
-        report.mend.push(format!("{counted} rejected: {}", words(first)));
+        let counted = output::count(*count, "file or capture is", "files or captures are");
+        report.fix.push(format!("{counted} rejected: {}", words(first)));
     }
     if kinds.len() > REASONS {
         let more = kinds.len() - REASONS;
-        report.mend.push(format!("{more} more reasons for rejections are listed above"));
+        report.fix.push(format!("{more} more reasons for rejections are listed above"));
     }
     let mut sensors: BTreeMap<&str, Vec<&Measurement>> = BTreeMap::new();
     for row in measurements {
@@ -38,13 +38,13 @@ pub fn fill(report: &mut Report, measurements: &[Measurement], checks: Vec<table
     }
     for (name, rows) in sensors {
         let entry = report.sensor(name);
-        let mut mend = of_shots(entry, &rows);
-        mend.extend(of_light(entry, &rows));
-        report.mend.extend(mend.into_iter().map(|text| format!("sensor {name}: {text}")));
+        let mut fix = of_shots(entry, &rows);
+        fix.extend(of_light(entry, &rows));
+        report.fix.extend(fix.into_iter().map(|text| format!("sensor {name}: {text}")));
     }
     for row in checks {
         if &*row.verdict == "fail" {
-            report.mend.push(format!("sensor {}: {} fails: {}", row.sensor, row.check, row.cause));
+            report.fix.push(format!("sensor {}: {} fails: {}", row.sensor, row.check, row.cause));
         }
         report.sensor(&row.sensor).checks.push(CheckOfSensor {
             check: row.check.to_string(),
@@ -69,14 +69,14 @@ fn pair(row: &Measurement) -> Pair {
 
 /// Clipping, and captures with missing shots.
 fn of_shots(sensor: &mut Sensor, rows: &[&Measurement]) -> Vec<String> {
-    let mut mend = Vec::new();
+    let mut fix = Vec::new();
     let recorded = |row: &Measurement| row.shots + row.rejected;
     let total: i32 = rows.iter().map(|row| recorded(row)).sum();
     let clipped: i32 = rows.iter().map(|row| row.clipped).sum();
     let share = f64::from(clipped) / f64::from(total.max(1));
     sensor.clipped_share = Some(share);
     if share > CLIPPED_SHARE {
-        mend.push(format!("{:.1} % of the shots are clipped: open the vertical range, or attenuate", 100.0 * share));
+        fix.push(format!("{:.1} % of the shots are clipped: open the vertical range, or attenuate", 100.0 * share));
     }
     let scene = of_scene(rows);
     let mut shots: Vec<i32> = scene.iter().map(|row| recorded(row)).collect();
@@ -88,9 +88,14 @@ fn of_shots(sensor: &mut Sensor, rows: &[&Measurement]) -> Vec<String> {
     }
     if !sensor.fewer_shots.is_empty() {
         let pairs: Vec<Pair> = sensor.fewer_shots.iter().map(|(pair, _)| *pair).collect();
-        mend.push(format!("{} captures have fewer shots than the others: {}", pairs.len(), listed(&pairs)));
+        let counted = output::count(
+            pairs.len(),
+            "capture has fewer shots than the others",
+            "captures have fewer shots than the others",
+        );
+        fix.push(format!("{counted}: {}", listed(&pairs)));
     }
-    mend
+    fix
 }
 
 /// Signal-to-noise ratio of the captures of the scene; unknown without a calibration.

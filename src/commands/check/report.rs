@@ -7,7 +7,7 @@ use serde::Serialize;
 pub struct Report {
     pub campaign: String,
     /// What needs to be fixed, each with how; empty if all is well.
-    pub mend: Vec<String>,
+    pub fix: Vec<String>,
     /// Captures that match the rules, by role and sensor.
     pub captures: Vec<Captures>,
     /// Files that match no rule.
@@ -17,7 +17,7 @@ pub struct Report {
     /// Files without their reference, and which reference is missing.
     pub missing_references: Vec<String>,
     /// Rejected files and captures, and why.
-    pub set_aside: Vec<SetAside>,
+    pub rejected: Vec<Rejected>,
     pub sensors: Vec<Sensor>,
 }
 
@@ -33,7 +33,7 @@ pub struct Captures {
 
 /// A rejected file or capture.
 #[derive(Debug, Serialize)]
-pub struct SetAside {
+pub struct Rejected {
     pub file: Option<String>,
     pub reason: String,
 }

@@ -14,8 +14,8 @@ pub fn rows(report: &Report) -> Rows {
         let (verdict, none) = (null.clone(), [(); 3].map(|()| null.clone()));
         rows.push([sensor, json!(what), verdict, value].into_iter().chain(none).chain([unit, text]));
     };
-    for mend in &report.mend {
-        add(Value::Null, "mend", [Value::Null, Value::Null, json!(mend)]);
+    for fix in &report.fix {
+        add(Value::Null, "fix", [Value::Null, Value::Null, json!(fix)]);
     }
     for entry in &report.captures {
         let what = format!("{} captures", entry.role);

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use super::super::output::count;
 use super::report::{Pair, Report, Sensor, listed};
 
 /// Most files of a kind that are named; the JSON names all.
@@ -12,24 +13,26 @@ pub fn text(report: &Report) -> String {
     let mut text = format!("campaign {}\n", report.campaign);
     let mut line = |line: String| writeln!(text, "{line}").expect("a String takes all text");
     for entry in &report.captures {
-        line(format!("  {:9} {:8} {:>6} captures in {} files", entry.role, entry.sensor, entry.count, entry.files));
+        let captures = if entry.count == 1 { "capture" } else { "captures" };
+        let files = count(entry.files, "file", "files");
+        line(format!("  {:9} {:8} {:>6} {captures} in {files}", entry.role, entry.sensor, entry.count));
     }
     if report.captures.is_empty() {
         line("  no rule matches any file".to_owned());
     }
-    let set_aside: Vec<String> = report
-        .set_aside
+    let rejected: Vec<String> = report
+        .rejected
         .iter()
         .map(|row| row.file.as_ref().map_or(row.reason.clone(), |file| format!("{file}: {}", row.reason)))
         .collect();
-    for (what, items) in [
-        ("files that no rule matches", &report.unmatched),
-        ("patterns and rows that match nothing", &report.empty),
-        ("files without their reference", &report.missing_references),
-        ("rejected", &set_aside),
+    for (one, many, items) in [
+        ("file that no rule matches", "files that no rule matches", &report.unmatched),
+        ("pattern or row that matches nothing", "patterns and rows that match nothing", &report.empty),
+        ("file without its reference", "files without their reference", &report.missing_references),
+        ("rejected file or capture", "rejected files and captures", &rejected),
     ] {
         if !items.is_empty() {
-            line(format!("\n{} {what}", items.len()));
+            line(format!("\n{}", count(items.len(), one, many)));
             items.iter().take(NAMED).for_each(|item| line(format!("  {item}")));
         }
         if items.len() > NAMED {
@@ -39,11 +42,11 @@ pub fn text(report: &Report) -> String {
     for entry in &report.sensors {
         sensor(entry).into_iter().for_each(&mut line);
     }
-    if report.mend.is_empty() {
+    if report.fix.is_empty() {
         line("\nall is well".to_owned());
     } else {
-        line("\nto mend".to_owned());
-        report.mend.iter().for_each(|mend| line(format!("  {mend}")));
+        line("\nto fix".to_owned());
+        report.fix.iter().for_each(|fix| line(format!("  {fix}")));
     }
     text
 }

@@ -1,22 +1,25 @@
 //! An explanation as text for a person.
 
+use std::collections::BTreeSet;
+
 use periscope::history::behind::{CaptureBehind, OnsetBehind, RawRecords};
 use periscope::history::explanation::Explanation;
 use periscope::history::sensors::SensorBehind;
-use serde_json::Value;
+use serde_json::{Map, Value};
+
+use super::super::output::count;
 
 /// Longest list that is shown whole, in rows.
-const WHOLE: usize = 16;
-/// Rows shown of a longer list.
-const SHOWN: usize = 10;
+const WHOLE: usize = 6;
+/// Rows shown of a longer list of onsets.
+const SHOWN: usize = 3;
 
-/// The explanation as text; `all` shows long lists whole.
+/// The explanation as text: in a few lines, or with `all` with every onset and capture.
 pub fn text(explanation: &Explanation, all: bool) -> String {
     let mut lines = vec![point(explanation), dataflow(explanation)];
     if !explanation.beside.is_empty() {
-        lines.push(format!("beside it: {}", explanation.beside.join(", ")));
+        lines.push(format!("side tables: {}", explanation.beside.join(", ")));
     }
-    lines.push(String::new());
     lines.extend(onsets(&explanation.onsets, all));
     lines.extend(captures(&explanation.captures, all));
     lines.extend(explanation.sensors.iter().map(sensor));
@@ -24,8 +27,9 @@ pub fn text(explanation: &Explanation, all: bool) -> String {
         lines.push(String::new());
         lines.extend(explanation.remarks.iter().map(|remark| format!("note: {remark}")));
     }
-    lines.push("\nthe same in DuckDB".to_owned());
-    lines.extend(explanation.queries.iter().map(|query| format!("{};", query.sql)));
+    let is_long = explanation.onsets.len().max(explanation.captures.len()) > WHOLE && !all;
+    let list = if is_long { "--all lists every onset and capture; " } else { "" };
+    lines.push(format!("\n{list}--format sql prints the queries that find these rows"));
     lines.join("\n") + "\n"
 }
 
@@ -42,13 +46,14 @@ fn point(explanation: &Explanation) -> String {
             facts.push(row["kind"].as_str().unwrap_or_default().to_owned());
             facts.push(format!("({}, {}, {}) m", fixed("x_m", 5), fixed("y_m", 5), fixed("z_m", 5)));
             facts.extend(mm("sd_m").map(|sd| format!("sd {sd}")));
-            facts.push(format!("rests on {} onsets", row["onsets"]));
+            facts.push(format!("from {}", onset_count(row)));
             facts.extend(number("chi2_dof").map(|chi2| format!("chi2/dof {chi2:.2}")));
         }
         "distances" => {
             facts.push(format!("{} m", fixed("distance_m", 5)));
             facts.extend(mm("sd_m").map(|sd| format!("sd {sd}")));
-            facts.push(format!("from {} onsets of up to {} bounces", row["onsets"], row["bounces"]));
+            let bounces = count(row["bounces"].as_u64().unwrap_or(0), "bounce", "bounces");
+            facts.push(format!("from {} of up to {bounces}", onset_count(row)));
         }
         _ => {
             facts.push(format!("{} ps", fixed("time_ps", 2)));
@@ -58,6 +63,10 @@ fn point(explanation: &Explanation) -> String {
         }
     }
     format!("{} in `{}` ({}): {}", explanation.target, explanation.table, explanation.stage, facts.join(", "))
+}
+
+fn onset_count(row: &Map<String, Value>) -> String {
+    count(row["onsets"].as_u64().unwrap_or(0), "onset", "onsets")
 }
 
 /// The chain of streamed tables that leads to it, and the whole tables that they use.
@@ -78,27 +87,19 @@ fn dataflow(explanation: &Explanation) -> String {
     format!("made from: {}{with}", chain.join(" -> "))
 }
 
-/// A list with a heading, cut where it is long; `first` are the places of the rows that are then shown.
-fn cut(heading: String, lines: Vec<String>, all: bool, first: impl Fn() -> Vec<usize>) -> Vec<String> {
-    let mut shown = vec![heading];
-    if all || lines.len() <= WHOLE {
-        shown.extend(lines);
-        return shown;
-    }
-    let more = lines.len() - SHOWN;
-    shown.extend(first().into_iter().take(SHOWN).map(|place| lines[place].clone()));
-    shown.push(format!("  and {more} more: --all"));
-    shown
-}
-
 fn onsets(onsets: &[OnsetBehind], all: bool) -> Vec<String> {
     if onsets.is_empty() {
         return Vec::new();
     }
     let names = Names::of(onsets.iter().map(|onset| (&*onset.campaign, &*onset.sensor)));
-    let which = if all || onsets.len() <= WHOLE { "" } else { ", those with the largest pull" };
+    let is_whole = all || onsets.len() <= WHOLE;
+    let which = if is_whole {
+        "onsets".to_owned()
+    } else {
+        format!("{SHOWN} of {} onsets, with the largest residuals in standard deviations (pull)", onsets.len())
+    };
     let heading = format!(
-        "onsets{which}\n  {}  lit seen rank  {:14} {:>12} {:>7} {:>8} {:>6} {:>6} {:>7}  flags",
+        "\n{which}\n  {}  lit seen rank  {:14} {:>12} {:>7} {:>8} {:>6} {:>6} {:>7}  flags",
         names.heading(),
         "path",
         "time_ps",
@@ -131,18 +132,21 @@ fn onsets(onsets: &[OnsetBehind], all: bool) -> Vec<String> {
         );
         line.trim_end().to_owned()
     };
-    let largest_pull = || {
-        let mut places: Vec<usize> = (0..onsets.len()).collect();
-        let pull = |place: usize| onsets[place].pull.map_or(0.0, f64::abs);
-        places.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)));
-        places
-    };
-    cut(heading, onsets.iter().map(line).collect(), all, largest_pull)
+    let mut shown: Vec<&OnsetBehind> = onsets.iter().collect();
+    if !is_whole {
+        let pull = |onset: &OnsetBehind| onset.pull.map_or(0.0, f64::abs);
+        shown.sort_by(|a, b| pull(b).total_cmp(&pull(a)));
+        shown.truncate(SHOWN);
+    }
+    std::iter::once(heading).chain(shown.into_iter().map(line)).collect()
 }
 
 fn captures(captures: &[CaptureBehind], all: bool) -> Vec<String> {
     if captures.is_empty() {
         return Vec::new();
+    }
+    if !all && captures.len() > WHOLE {
+        return vec![summary(captures)];
     }
     let names = Names::of(captures.iter().map(|capture| (&*capture.campaign, &*capture.sensor)));
     let heading = format!(
@@ -166,7 +170,24 @@ fn captures(captures: &[CaptureBehind], all: bool) -> Vec<String> {
             raw(&capture.raw)
         )
     };
-    cut(heading, captures.iter().map(line).collect(), all, || (0..captures.len()).collect())
+    std::iter::once(heading).chain(captures.iter().map(line)).collect()
+}
+
+/// Many captures on one line.
+fn summary(captures: &[CaptureBehind]) -> String {
+    let sum = |of: fn(&CaptureBehind) -> Option<i32>| captures.iter().filter_map(of).map(i64::from).sum::<i64>();
+    let files: BTreeSet<&str> =
+        captures.iter().flat_map(|capture| &capture.raw).map(|records| records.file.as_str()).collect();
+    let raw = match (files.first(), files.last()) {
+        (Some(first), Some(last)) => format!("\n  {} files {first} .. {last}", files.len()),
+        _ => String::new(),
+    };
+    format!(
+        "\n{} captures: {} valid shots, {} rejected{raw}",
+        captures.len(),
+        sum(|capture| capture.shots),
+        sum(|capture| capture.rejected)
+    )
 }
 
 fn sensor(sensor: &SensorBehind) -> String {
@@ -175,13 +196,13 @@ fn sensor(sensor: &SensorBehind) -> String {
     let mut facts = Vec::new();
     match sensor.latency_ps {
         Some(_) => {
-            facts.push(format!("{} shots", sensor.shots));
+            facts.push(count(sensor.shots, "shot", "shots"));
             facts.push(format!("latency {}", value(sensor.latency_ps, sensor.latency_sd_ps)));
         }
-        None => facts.push(format!("{} fiducial runs", sensor.shots)),
+        None => facts.push(count(sensor.shots, "fiducial run", "fiducial runs")),
     }
     if sensor.delay_ps.is_some() {
-        facts.push(format!("delay found beyond it {}", value(sensor.delay_ps, sensor.delay_sd_ps)));
+        facts.push(format!("further delay, fitted with the positions, {}", value(sensor.delay_ps, sensor.delay_sd_ps)));
     }
     format!("\nsensor {}{range} (`{}`): {}\n  {}", sensor.sensor, sensor.table, facts.join(", "), raw(&sensor.raw))
 }

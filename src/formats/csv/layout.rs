@@ -253,7 +253,7 @@ pub(super) fn columns(
         columns[0].role = Role::Perhaps;
     }
     if !columns.iter().any(|column| column.role == Role::Channel) {
-        return Err(refuse(line, "has no column of values beside that of times; export the trace again"));
+        return Err(refuse(line, "has no column of values next to that of times; export the trace again"));
     }
     Ok((columns, axis))
 }

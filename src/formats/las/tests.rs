@@ -131,7 +131,7 @@ fn what_is_wrong_is_said() {
     assert!(says(&|bytes| bytes[227] += 1).contains("waveform packets begin here"));
     let [alone, _] = built(3, false, &POINTS);
     let error = Las.records(&mut hostile::source(&alone)).unwrap_err().to_string();
-    assert!(error.contains("ending .wdp beside it"), "{error}");
+    assert!(error.contains("ending .wdp next to it"), "{error}");
 }
 
 #[test]

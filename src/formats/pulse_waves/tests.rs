@@ -177,7 +177,7 @@ fn what_is_wrong_is_said() {
     assert!(says(&|files| files[1].truncate(90)).contains("the waves needs"));
     assert!(says(&|files| files[0].truncate(700)).contains("the pulses needs"));
     let alone = PulseWaves.records(&mut hostile::source(&files[0])).unwrap_err().to_string();
-    assert!(alone.contains("ending .wvs beside it"), "{alone}");
+    assert!(alone.contains("ending .wvs next to it"), "{alone}");
 }
 
 #[test]

@@ -260,7 +260,7 @@ fn either_file_alone_says_what_is_missing() {
     let built = Built::raw();
     let xml = built.xml();
     let length = xml.len() as u64;
-    assert!(read(xml, length).unwrap_err().contains(".Wfm.bin; copy it beside"));
+    assert!(read(xml, length).unwrap_err().contains(".Wfm.bin; copy it next to"));
     assert!(read(built.payload.clone(), built.payload.len() as u64).unwrap_err().contains("give NAME.bin"));
 }
 

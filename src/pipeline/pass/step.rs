@@ -114,7 +114,7 @@ fn emit<'a>(
     if !output.rejections.is_empty() {
         let heading = &plan.spec.steps[step].heading;
         let rows: Vec<Reject> = output.rejections.into_iter().map(|rejection| rejection.row(heading)).collect();
-        shared.progress.set_aside(rows.len() as u64);
+        shared.progress.rejected(rows.len() as u64);
         open(shared, step, writer)?.write(tables - 1, &Reject::to_batch(&rows))?;
     }
     let Some(main) = output.tables.into_iter().next() else {

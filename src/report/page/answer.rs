@@ -189,7 +189,7 @@ fn surfaces(scene: &Scene) -> Markup {
     html! {
         @if !scene.meshes.is_empty() {
             h3 { "The surface between these points" }
-            p { "Fitted to first light at all points of the wall. Where it ends is not told. As a file: " code { "periscope export RESULTS FILE.ply --mesh" } "." }
+            p { "Fitted to first light at all points of the wall. The fit does not determine where it ends. As a file: " code { "periscope export RESULTS FILE.ply --mesh" } "." }
             div.scroll tabindex="0" role="region" aria-label="surfaces" {
                 table.numbers {
                     thead { tr { th { "surface" } th { "nodes" } th { "distance of nodes (mm)" } th { "median sd (mm)" } th { "curvatures of the order of (1/m)" } th { "points of the wall" } th { "chi-square / number" } } }

@@ -31,7 +31,7 @@ pub fn image(image: &Image) -> Markup {
             @if let (Some(largest), Some(x_m), Some(y_m), Some(z_m)) = (whole.largest, whole.largest_x_m, whole.largest_y_m, whole.largest_z_m) {
                 "The brightest, at (" (metres(x_m)) ", " (metres(y_m)) ", " (metres(z_m)) ") m, by " (sig(largest, 3)) ". "
             }
-            "Light counts from " (sig(whole.gate_ps, 4)) " ps behind that of the wall. Beside a bright surface voxels may be echoes of the method. Table " code { (image.heading) } "."
+            "Light counts from " (sig(whole.gate_ps, 4)) " ps behind that of the wall. Near a bright surface, voxels may be artefacts of the method. Table " code { (image.heading) } "."
         }
     }
 }

@@ -4,11 +4,11 @@ use maud::{Markup, PreEscaped, html};
 use plotly::Plot;
 
 /// Patches that laser and sensor see.
-pub const VISIBLE: &str = "#2f7fc1";
+pub const VISIBLE: &str = "#256fae";
 /// Patches that neither sees.
 pub const HIDDEN: &str = "#e2711d";
 /// Patches that nothing comes straight back from.
-pub const MIRROR: &str = "#8f5fd0";
+pub const MIRROR: &str = "#8453c8";
 /// For what matters less.
 pub const PALE: &str = "#8a8f98";
 /// Laser and sensors.
@@ -39,7 +39,25 @@ pub fn figure(id: &str, height_px: u32, plot: &Plot, alternative: &str, caption:
 
 /// JSON for the page's script; texts in it cannot end the element.
 pub fn data(id: &str, json: &str) -> Markup {
-    html! { script type="application/json" id=(id) { (PreEscaped(json.replace('<', "\\u003c"))) } }
+    html! { script type="application/json" id=(id) { (PreEscaped(without_zeros(json).replace('<', "\\u003c"))) } }
+}
+
+/// JSON whose whole numbers have no `.0`, which is a quarter of a page of images.
+fn without_zeros(json: &str) -> String {
+    let mut short = String::with_capacity(json.len());
+    let (mut is_text, mut is_escaped, mut rest) = (false, false, json.chars());
+    while let Some(c) = rest.next() {
+        is_text ^= c == '"' && !is_escaped;
+        is_escaped = is_text && c == '\\' && !is_escaped;
+        let after = rest.as_str();
+        let is_whole = |after: &str| !after.starts_with(|next: char| next.is_ascii_digit());
+        if c == '.' && !is_text && after.strip_prefix('0').is_some_and(is_whole) {
+            rest.next();
+        } else {
+            short.push(c);
+        }
+    }
+    short
 }
 
 /// A value with `digits` significant digits, so that its text is short.
@@ -62,6 +80,12 @@ mod tests {
         assert_eq!(short(-0.000_123_456, 2), -0.000_12);
         assert_eq!(short(0.0, 3), 0.0);
         assert!(short(f64::NAN, 3).is_nan());
+    }
+
+    #[test]
+    fn whole_numbers_are_short_and_texts_stay() {
+        let json = r#"{"a \"1.0\\":[0.0,-12.0,1.05,2.0e5,10.10],"b":"3.0"}"#;
+        assert_eq!(without_zeros(json), r#"{"a \"1.0\\":[0,-12,1.05,2e5,10.10],"b":"3.0"}"#);
     }
 
     #[test]

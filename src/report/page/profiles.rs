@@ -54,7 +54,7 @@ pub fn section(report: &Report) -> Markup {
                 button type="button" id="profile-scale" aria-pressed="false" { "linear scale" }
             }
             figure {
-                div.plot id="profile" role="img" aria-describedby="profile-note" data-viewer="profile-records" style="height:560px" {}
+                div.plot id="profile" role="img" aria-label="the chosen profile with its fitted curve and residuals" aria-describedby="profile-note" data-viewer="profile-records" style="height:560px" {}
                 (data("profile-records", &Value::Object(records).to_string()))
                 figcaption { (caption(report, heading)) }
             }
@@ -149,8 +149,15 @@ fn note(waveform: &Waveform) -> String {
     let drawn = drawn.map_or(String::new(), |(drawn, _)| {
         format!(" The curve drawn here has {}: the table does not keep all of its shape.", sig(drawn, 3))
     });
+    let together = waveform.drawn_chi2_dof.filter(|_| waveform.is_reciprocal).map_or(String::new(), |chi2| {
+        let (_, _, lit, seen) = waveform.capture;
+        format!(
+            " Fitted together with lit {seen}, seen {lit}, in whose row the times stand; the heights were fitted for this page, with chi-square per degree of freedom {}.",
+            sig(chi2, 3)
+        )
+    });
     let shots = count(waveform.shots as usize, "valid shot", "valid shots");
-    format!("{pulses}{chi2}, {shots}, {} rejected{when}.{drawn}", waveform.rejected)
+    format!("{pulses}{chi2}, {shots}, {} rejected{when}.{drawn}{together}", waveform.rejected)
 }
 
 /// The onset that an impulse became.

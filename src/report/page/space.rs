@@ -16,13 +16,15 @@ use plotly::{Layout, Plot, Scatter3D, Trace};
 use super::plot::{HIDDEN, MIRROR, PALE, STATION, VISIBLE, short};
 use super::words::{count, metres, millimetres, sig};
 use crate::report::image::Image;
-use crate::report::scene::{Placed, Ray, Scene};
+use crate::report::scene::{Placed, Ray, Scene, norm};
 use crate::tables::SurfacePoint;
 
 /// Most patches with numbers next to them.
 const NUMBERED: usize = 60;
 /// Margin around the scene, as a share of its extent.
 const MARGIN: f64 = 0.12;
+/// Longest semi-axis of a drawn ellipsoid that its marker hides, as a share of the scene's extent.
+const MARKER_SHARE: f64 = 0.002;
 /// Length of the bar of colours.
 const SURFACE_BAR_PX: usize = 240;
 /// Laser beams drawn at most, and lines of sight.
@@ -63,8 +65,8 @@ fn alternative(scene: &Scene) -> String {
 fn caption(scene: &Scene) -> Markup {
     let frame = scene.fit.as_ref().map(|fit| match &*fit.frame {
         "fixed" => "The frame is that of campaign.toml.".to_owned(),
-        "stations" => "Nothing tells how the scene is turned about the line of the stations: that is a convention.".to_owned(),
-        _ => "Path lengths say nothing of rotations about the laser, nor of mirror images: first patch on +x, the next in the xy plane, the next at z > 0, by convention.".to_owned(),
+        "stations" => "Path lengths do not determine a rotation about the line of the stations: it is a convention.".to_owned(),
+        _ => "Path lengths do not determine rotations about the laser, nor mirror images: first patch on +x, the next in the xy plane, the next at z > 0, by convention.".to_owned(),
     });
     html! {
         "Drag to turn, scroll to come nearer, click a patch for its onsets, click the legend to hide things. "
@@ -88,13 +90,21 @@ fn coordinates<'a>(places: impl Iterator<Item = [f64; 3]> + Clone + 'a) -> [Vec<
     std::array::from_fn(|axis| places.clone().map(|place| short(place[axis], DIGITS)).collect())
 }
 
+/// Whether the ellipsoid of a patch is larger than its marker. Those of the given points of a wall are not, and would
+/// be a third of the page.
+fn is_to_see(placed: &Placed, scene: &Scene) -> bool {
+    let drawn_m = placed.semi_axes_m.map_or(0.0, |axes| 2.0 * scene.ellipsoid_factor * norm(axes[0]));
+    drawn_m > MARKER_SHARE * extent_m(scene)
+}
+
 fn plot(scene: &Scene, image: Option<&Image>) -> Plot {
     let mut plot = Plot::new();
     for (kind, colour) in [("visible", VISIBLE), ("hidden", HIDDEN), ("mirror", MIRROR)] {
         let of_kind: Vec<&Placed> = scene.patches.iter().filter(|placed| &*placed.patch.kind == kind).collect();
         if !of_kind.is_empty() {
             plot.add_trace(points(&of_kind, kind, colour));
-            plot.add_traces(meshes::ellipsoids(&of_kind, scene.ellipsoid_factor, kind, colour));
+            let to_see: Vec<&Placed> = of_kind.iter().copied().filter(|placed| is_to_see(placed, scene)).collect();
+            plot.add_traces(meshes::ellipsoids(&to_see, scene.ellipsoid_factor, kind, colour));
             plot.add_traces(meshes::disks(&of_kind, &scene.footprints, kind, colour));
         }
     }

@@ -2,6 +2,8 @@
 
 use maud::{Markup, html};
 
+pub use crate::campaign::count;
+
 /// A value with `digits` significant digits, without trailing zeros after the point; powers of ten where it is very
 /// large or small.
 pub fn sig(value: f64, digits: usize) -> String {
@@ -26,11 +28,6 @@ pub fn metres(value_m: f64) -> String {
 /// A small length.
 pub fn millimetres(value_m: f64) -> String {
     format!("{} mm", sig(1e3 * value_m, 3))
-}
-
-/// A number of things.
-pub fn count(number: usize, one: &str, many: &str) -> String {
-    format!("{number} {}", if number == 1 { one } else { many })
 }
 
 /// Bytes.

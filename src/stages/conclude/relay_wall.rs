@@ -1,6 +1,7 @@
 //! What a relay wall shows: the verdict of `locate`, and the image beside it.
 
 use super::decision;
+use crate::campaign::count;
 use crate::tables::{Decision, Image, JointSearch, Mesh, Shape, SurfacePoint};
 
 /// Shapes that are named one by one.
@@ -35,16 +36,16 @@ fn verdict(search: &JointSearch) -> Decision {
     let points = search.points;
     let (chosen, would_change) = match &*search.verdict {
         "points" => (
-            format!("{} with error bars, in `patches`", of(points, "point", "points")),
+            format!("{} with error bars, in `patches`", count(points, "point", "points")),
             "other histograms in which the points do not reappear",
         ),
         "extended-object" => (
             "an extended object: no points; its image is in `voxels`".to_owned(),
             "nothing but other captures; for a small part of it, `samples` or `gate_ps` that keep only its light",
         ),
-        "nothing" => ("nothing".to_owned(), "more photons, or a gate that lets in the light that is looked for"),
+        "nothing" => ("nothing".to_owned(), "more photons, or a gate that passes the signal that you look for"),
         _ => (
-            "cannot be told: neither points nor a surface; the image is in `voxels`".to_owned(),
+            "undetermined: neither points nor a surface explain the histograms; the image is in `voxels`".to_owned(),
             "more photons, more points of the wall, or the capture of a response",
         ),
     };
@@ -62,7 +63,9 @@ fn points_of_surface(points: &[SurfacePoint], is_presumed: bool) -> Decision {
     sds_mm.sort_by(f64::total_cmp);
     let chosen = match points.len() {
         0 => "no surface: first light of neighbouring points of the wall does not agree".to_owned(),
-        count => format!("{count} points of a surface with error bars and normals, in `surface`"),
+        number => {
+            format!("{} of a surface with error bars and normals, in `surface`", count(number, "point", "points"))
+        }
     };
     let kinds = ["smooth", "edge", "corner", "unknown"].map(|kind| format!("{} {kind}", of_kind(kind))).join(", ");
     let evidence = match sds_mm.get(sds_mm.len() / 2) {
@@ -91,10 +94,10 @@ fn shapes_of_surface(shapes: &[Shape], points: usize) -> Decision {
     let named = named.chain((more > 0).then(|| format!("{more} more"))).collect::<Vec<_>>().join(", ");
     let on_shapes: i32 = shapes.iter().map(|shape| shape.wall_points).sum();
     if shapes.is_empty() {
-        let evidence = "no plane, sphere or cylinder is sure: other kinds or bent surfaces are as likely";
+        let evidence = "no plane, sphere or cylinder is certain: other kinds or bent surfaces are as likely";
         return decision(
             "shapes",
-            "none; the points stand for themselves",
+            "none; the points stay as they are",
             evidence,
             "more photons, or more points of the wall",
         );
@@ -109,19 +112,21 @@ fn shapes_of_surface(shapes: &[Shape], points: usize) -> Decision {
 
 /// The surface between these points.
 fn meshes_of_surface(meshes: &[Mesh]) -> Decision {
-    let one = |mesh: &Mesh| format!("{} nodes, median sd {:.1} mm", mesh.nodes, 1e3 * mesh.median_sd_m);
+    let one =
+        |mesh: &Mesh| format!("{}, median sd {:.1} mm", count(mesh.nodes, "node", "nodes"), 1e3 * mesh.median_sd_m);
     let would_change = "more photons, or more points of the wall";
     if meshes.is_empty() {
         let evidence = "no smooth surface explains first light, or too few points lie on all sides of its parts";
-        return decision("meshes", "none; the points stand for themselves", evidence, would_change);
+        return decision("meshes", "none; the points stay as they are", evidence, would_change);
     }
     let chosen = format!(
         "{} in `meshes`: {}",
-        of(meshes.len() as i32, "surface", "surfaces"),
+        count(meshes.len() as i32, "surface", "surfaces"),
         meshes.iter().take(NAMED).map(one).collect::<Vec<_>>().join("; ")
     );
     let misfits = meshes.iter().take(NAMED).map(|mesh| format!("{:.2}", mesh.misfit)).collect::<Vec<_>>().join(", ");
-    let evidence = format!("chi-square of first light over its number: {misfits}; where a surface ends is not told");
+    let evidence =
+        format!("chi-square of first light per histogram: {misfits}; the fit does not determine where a surface ends");
     decision("meshes", &chosen, &evidence, would_change)
 }
 
@@ -136,7 +141,7 @@ fn image(image: &Image) -> Decision {
     };
     let chosen = match image.voxels {
         0 => "no voxel is brighter than noise".to_owned(),
-        voxels => format!("{voxels} voxels brighter than noise, by {}", image.method),
+        voxels => format!("{} brighter than noise, by {}", count(voxels, "voxel", "voxels"), image.method),
     };
     decision("image", &chosen, &evidence, "for retroreflective things `voxels.falloff = 2`, which no capture says")
 }
@@ -158,8 +163,4 @@ fn gate(search: &JointSearch) -> Decision {
         &format!("the histograms end at {:.0} ps", search.end_ps),
         "`gate_ps` of the sensor in campaign.toml",
     )
-}
-
-fn of(number: i32, one: &str, many: &str) -> String {
-    format!("{number} {}", if number == 1 { one } else { many })
 }

@@ -28,11 +28,12 @@ pub(super) fn decisions(onsets: &[Onset]) -> Vec<Decision> {
         onsets.iter().filter(is_flagged).map(key).collect::<BTreeSet<_>>().len()
     };
     let (all, misfits, moving) = (profiles.len(), with("misfit"), with("moving-baseline"));
-    let is_chance = misfits <= FEW.max((BY_CHANCE * all as f64) as usize);
-    let chosen = if is_chance {
+    let chosen = if is_by_chance(misfits, all) {
         "explained by pulses, noise and baseline".to_owned()
     } else {
-        format!("not explained in {misfits} of {all} profiles: standard deviations are larger for it (`misfit`)")
+        format!(
+            "not explained in {misfits} of {all} profiles: the program widened their standard deviations (flag `misfit`)"
+        )
     };
     let evidence = match moving {
         0 => format!("chi-square of {misfits} of {all} profiles exceeds noise"),
@@ -42,6 +43,12 @@ pub(super) fn decisions(onsets: &[Onset]) -> Vec<Decision> {
     let mut rows = vec![decision("waveforms", &chosen, &evidence, text)];
     rows.extend(widths(onsets).into_iter().map(|(sensor, width)| width.decision(sensor)));
     rows
+}
+
+/// Whether noise makes so many of all profiles contradict their pulses.
+#[must_use]
+pub fn is_by_chance(misfits: usize, all: usize) -> bool {
+    misfits <= FEW.max((BY_CHANCE * all as f64) as usize)
 }
 
 /// Width of a sensor's response over the calibration's.

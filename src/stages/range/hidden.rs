@@ -289,9 +289,9 @@ impl Solved {
     pub fn rejections(&self, campaign: &Name, with_places: bool) -> Vec<Rejection> {
         let lost = self.lost.iter().map(|(patch, onsets)| {
             let (lacks, mend) = if with_places {
-                ("has no position with a covariance in the patches given beside", "capture more pairs with it")
+                ("has no position with a covariance in the given `patches`", "capture more pairs with it")
             } else {
-                ("has no first bounce where the laser is", "capture lit and seen there, or give `patches` beside")
+                ("has no first bounce where the laser is", "capture lit and seen there, or give `patches` (`with`)")
             };
             format!(
                 "patch {patch} {lacks}, so {onsets} third bounces over it and hidden patches are left out here: {mend}; `refine` takes them as \

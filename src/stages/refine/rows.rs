@@ -340,8 +340,8 @@ impl<'a> Tables<'a> {
         };
         let mut rows = Vec::new();
         match self.frame {
-            "canonical" => rows.push(plain("rotation", &[], "nothing tells how the whole is turned about the laser, nor which of two mirror images it is: the frame is a convention; anchors, rays or a sensor elsewhere would tell")),
-            "stations" => rows.push(plain("rotation", &[], "nothing tells how the whole is turned about the line of the stations, nor which of two mirror images it is: the frame is a convention; an anchor, a ray or a sensor off the line would tell")),
+            "canonical" => rows.push(plain("rotation", &[], "the onsets do not determine a rotation of the scene about the laser, nor its mirror image: the frame is a convention; anchors, rays or a sensor in another place would determine them")),
+            "stations" => rows.push(plain("rotation", &[], "the onsets do not determine a rotation of the scene about the line of the stations, nor its mirror image: the frame is a convention; an anchor, a ray or a sensor off the line would determine them")),
             _ => {}
         }
         for (part, free) in

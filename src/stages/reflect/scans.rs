@@ -208,7 +208,7 @@ impl<'a> Used<'a> {
         let position = *context.positions.get(&diffuser).ok_or_else(|| {
             format!(
                 "diffuser point {diffuser}, where the beam over mirror point {mirror} lands, has no known position; give patches.{diffuser} `position_m` and `sd_m` in campaign.toml, \
-                 or `patches` of an earlier stage beside"
+                 or `patches` from an earlier stage (`with`)"
             )
         })?;
         let mut of_sensor: BTreeMap<(&Name, &Name), &Onset> = BTreeMap::new();

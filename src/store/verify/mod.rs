@@ -34,7 +34,6 @@ pub struct Finding {
     /// Where in the file, if it is a table.
     pub damage: Option<Place>,
     /// What to do.
-    #[serde(rename = "mend")]
     pub fix: String,
     /// Files to delete, so that the next run makes the damaged ones again.
     #[serde(skip)]

@@ -13,7 +13,7 @@ const FLOORS: [&[&str]; 8] = [
     &["geometry", "tables", "formats", "signal", "parameter"],
     &["priors"],
     &["stages", "simulate"],
-    &["pipeline", "history", "bound", "exchange"],
+    &["pipeline", "history", "bound", "wall_outlook", "exchange"],
     &["lib", "report", "guide"],
     &["main", "commands"],
 ];

@@ -188,7 +188,7 @@ pub const MISTAKES: &[Mistake] = &[
         &[Replace(CAMPAIGN, "raw/scene/{sensor}_L{lit}_P{seen}_C1", "raw/scenes/{sensor}_L{lit}_P{seen}_C1")],
         RUN,
         "[[captures]] number 2",
-        "`patches`, `paper` came out empty",
+        "`patches`, `paper` are empty",
     ),
     Mistake(
         &[Append(CAMPAIGN, "[[exclude]]\nmatch = { role = \"scene\" }\nreason = \"try\"\n")],
@@ -200,8 +200,17 @@ pub const MISTAKES: &[Mistake] = &[
     Mistake(
         &[Empty("campaign/raw/response")],
         RUN,
-        "[profiles]: sensor `s1` is not calibrated",
-        "role = \"response\" in campaign.toml",
+        "campaign/campaign.toml: no file shows the impulse response of sensor `s1`",
+        "match no file of it: copy the files",
+    ),
+    Mistake(
+        &[
+            Replace(CAMPAIGN, "role = \"response\"", "role = \"dark\""),
+            Replace(CAMPAIGN, "path_m = 1.0\npath_sd_m = 0.0001\n", ""),
+        ],
+        RUN,
+        "campaign/campaign.toml: no file shows the impulse response of sensor `s1`, which [stir]",
+        "add { role = \"response\", sensor = \"s1\"",
     ),
     Mistake(
         &[Replace(CAMPAIGN, "path_m = 1.0\npath_sd_m = 0.0001\n", "")],
