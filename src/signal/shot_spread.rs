@@ -234,8 +234,8 @@ mod tests {
         (0..HEAD_SHOTS).map(|_| shot()).collect()
     }
 
-    /// Jitter is seen in full. A pulse that is too fast for its sampling, whose shots differ by far more than noise where
-    /// it is steep, shows nearly none.
+    /// Jitter is seen in full. A pulse that is too fast for its sampling, whose shots differ by far more than noise
+    /// where it is steep, shows nearly none.
     #[test]
     fn only_shots_that_move_have_jitter() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);

@@ -10,9 +10,11 @@
 //! How `sparse` compares with other methods, which are not in the program, stands in docs/time-resolution.md.
 //!
 //! Light that an extended patch spreads in time is modelled by `sparse` where `extent_max_ps` is positive: an impulse
-//! whose samples ask for it is widened by a Gaussian; where that does not suffice, by the chords of an even disk in its
-//! place, or by an exponential tail behind it. Its time is that of the light's centroid, `width_ps` the standard
-//! deviation of all together (`tail_ps` of it is the tail), and `width_kurtosis` tells a disk (-1) from a Gaussian (0).
+//! whose samples ask for it is widened by a Gaussian; where that does not suffice, by what even disks make of light in
+//! its place, with a tilt or without, or by an exponential tail behind it. Its time is that of the light's centroid,
+//! `width_ps` the standard deviation of all together (`tail_ps` of it is the tail). `width_kurtosis` tells light over
+//! disks (from -1) from a Gaussian (0), and `width_tilt` how it changes over one standard deviation.
+//!
 //! Two impulses closer than twice that limit may then be taken for one: the best two points in the place of a wide
 //! impulse stay beside it (the fields `pair_...` of an impulse), for `label` to choose by what it knows of the scene.
 //!

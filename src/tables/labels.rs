@@ -31,8 +31,8 @@ table! {
         width_ps: Option<f64>,
         /// Standard deviation of the width, where the onset has one.
         width_sd_ps: Option<f64>,
-        /// Excess kurtosis of the spread that makes the onset wide: 0 for a Gaussian, -1 for the chords of a disk, between
-        /// them for light over more disks.
+        /// Excess kurtosis of the spread that makes the onset wide: 0 for a Gaussian, -1 for the chords of a disk,
+        /// between them for light over more disks.
         width_kurtosis: Option<f64>,
         /// Signal-to-noise ratio of the onset, or of the part.
         snr: f64,

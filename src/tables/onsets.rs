@@ -36,8 +36,8 @@ table! {
         width_ps: f64,
         /// Standard deviation of the width, where the arrival has one.
         width_sd_ps: Option<f64>,
-        /// Excess kurtosis of the spread that makes the arrival wide: 0 for a Gaussian, -1 for the chords of a disk, between
-        /// them for light over more disks.
+        /// Excess kurtosis of the spread that makes the arrival wide: 0 for a Gaussian, -1 for the chords of a disk,
+        /// between them for light over more disks.
         width_kurtosis: Option<f64>,
         /// Matched-filter signal-to-noise ratio.
         snr: f64,

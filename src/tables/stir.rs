@@ -35,8 +35,8 @@ pub struct Impulse {
     pub misfit_factor: f64,
     /// Standard deviation of the width, where it is above 0.
     pub width_sd_ps: Option<f64>,
-    /// Excess kurtosis of the spread that makes it wide: 0 for a Gaussian, -1 for the chords of a disk, between them for
-    /// light over more disks.
+    /// Excess kurtosis of the spread that makes it wide: 0 for a Gaussian, -1 for the chords of a disk, between them
+    /// for light over more disks.
     pub width_kurtosis: Option<f64>,
     /// Relative change of its light over a standard deviation of that spread.
     pub width_tilt: Option<f64>,

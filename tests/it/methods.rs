@@ -94,7 +94,7 @@ fn compared(method: Method, raw: &[Stir], profiles: &[Profile], calibration: &Ca
     for (stir, profile) in raw.iter().zip(profiles) {
         assert_eq!((stir.lit, stir.seen), (profile.lit, profile.seen));
         let phase_shots = profile.phase_shots.as_ref().unwrap();
-        let response = averaged_response(&whole, profile.dt_ps, phase_shots);
+        let response = averaged_response(&whole, profile.dt_ps, phase_shots, 1e-4);
         let samples: Vec<f64> = stir.profile.iter().map(|sample| f64::from(*sample)).collect();
         let sd_v: Vec<f64> = profile.se_v.iter().map(|se| f64::from(*se)).collect();
         let record = sparse::Profile {

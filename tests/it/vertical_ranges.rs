@@ -100,7 +100,7 @@ fn heights_pulls(seed: u64) -> [f64; 2] {
     let truth: Vec<Calibration> = lab.truth();
     let truth = &truth[0];
     let response = Response::new(truth.response_t0_ps, truth.step_ps, &truth.response.to_f64());
-    let response = averaged_response(&response, profile.dt_ps, profile.phase_shots.as_ref().unwrap());
+    let response = averaged_response(&response, profile.dt_ps, profile.phase_shots.as_ref().unwrap(), 1e-4);
     // Heights, heights times delays, baseline.
     let column = |n: usize, k: usize| {
         let time_ps = profile.t0_ps + n as f64 * profile.dt_ps - 1250.0;

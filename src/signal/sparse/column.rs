@@ -66,8 +66,8 @@ impl Column {
     }
 
     /// Adds products of two columns to the block of `products` (rows of `n`) that starts at `corner`; the rows are this
-    /// column's. Each column takes part with the first `counts` of (value, derivatives by time, variance, kurtosis or tail,
-    /// tilt).
+    /// column's. Each column takes part with the first `counts` of (value, derivatives by time, variance, kurtosis or
+    /// tail, tilt).
     pub(super) fn add_products(
         &self,
         other: &Self,

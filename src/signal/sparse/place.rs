@@ -9,9 +9,9 @@
 //! An evenly lit disk has as much light at each distance as its chord is long: within twice its standard deviation to
 //! either side, `sqrt(1 - x^2 / 4 v)` of it, with an excess kurtosis of -1. Light over two disks has one from -1 to
 //! -1/2, over three from -1 to -1/3, by their shares of the variance. Symmetric beta distributions have each of these:
-//! `(1 - x^2 / r^2)^(a - 1)`, of excess kurtosis `k = -6 / (2 a + 3)`, are a disk's chords at -1 and a Gaussian at 0, and
-//! their sixth moments lie within 2 % of those of light over two disks. What is nearer is brighter: a factor `e^(b x)`
-//! tilts the light. Of strong pulses both show.
+//! `(1 - x^2 / r^2)^(a - 1)`, of excess kurtosis `k = -6 / (2 a + 3)`, are a disk's chords at -1 and a Gaussian at 0.
+//! Their sixth moments lie within 2.5 % of those of light over two disks. What is nearer is brighter: a factor
+//! `e^(b x)` tilts the light. Of strong pulses both show.
 
 use super::Response;
 use std::ops::Range;
@@ -407,8 +407,8 @@ fn tail_nodes(panel_max: f64, reach: f64) -> Vec<(f64, f64)> {
     (0..panels as i32).flat_map(nodes).collect()
 }
 
-/// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance, the tail's
-/// constant, and a tilt, which these nodes have none of.
+/// Value of the response at `after_ps` spread over `nodes`, and its derivatives by the centroid, the variance, the
+/// tail's constant, and a tilt, which these nodes have none of.
 pub(super) fn spread_response(response: &Response, nodes: &[Node], after_ps: f64) -> [f64; 5] {
     nodes.iter().fold([0.0; 5], |[value, by_time, by_variance, by_tail, _], node| {
         let [h, slope, curvature] = response.value_slope_and_curvature(after_ps - node.after_ps);

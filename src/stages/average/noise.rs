@@ -80,8 +80,8 @@ impl Judges<'_> {
         Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
     }
 
-    /// The model with no more jitter than the shots move by as a whole. Where a strong pulse is too fast for its sampling,
-    /// shots differ from the mean by more than noise, and most where it is steep.
+    /// The model with no more jitter than the shots move by as a whole. Where a strong pulse is too fast for its
+    /// sampling, shots differ from the mean by more than noise, and most where it is steep.
     fn without_false_jitter(&self, model: NoiseModel) -> NoiseModel {
         let mut values = model.values;
         if is_claimed(values[JITTER], &model, JITTER, 1.0) {

@@ -204,8 +204,8 @@ fn near(solution: &SparseFit, time_ps: f64) -> Vec<Pulse> {
     solution.pulses.iter().filter(|pulse| (pulse.time_ps - time_ps).abs() < 500.0).copied().collect()
 }
 
-/// A second bounce at SNR 100,000: light over two disks, whose excess kurtosis is neither a Gaussian's nor a disk's. One
-/// pulse at its centroid. As a Gaussian or a disk it would need small pulses on either side.
+/// A second bounce at SNR 100,000: light over two disks, whose excess kurtosis is neither a Gaussian's nor a disk's.
+/// One pulse at its centroid. As a Gaussian or a disk it would need small pulses on either side.
 #[test]
 fn bright_light_over_two_disks_is_one_pulse() {
     let mut rng = ChaCha8Rng::seed_from_u64(47);
