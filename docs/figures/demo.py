@@ -83,9 +83,10 @@ def main():
     rotation = turn(seen, true_seen)
     hidden, seen = hidden @ rotation.T, seen @ rotation.T
     covariances = rotation @ covariances @ rotation.T
-    # The solution numbers hidden patches in its own order: each true one has the nearest.
-    nearest = [int(np.argmin(np.linalg.norm(hidden - point, axis=1))) for point in true_hidden]
-    errors_mm = [1e3 * np.linalg.norm(hidden[at] - point) for at, point in zip(nearest, true_hidden)]
+    # The solution numbers hidden patches in its own order: each has the nearest true one. A true one without any was
+    # not found.
+    nearest = [int(np.argmin(np.linalg.norm(true_hidden - point, axis=1))) for point in hidden]
+    errors_mm = [1e3 * np.linalg.norm(point - true_hidden[at]) for at, point in zip(nearest, hidden)]
     print("errors of hidden patches (mm):", " ".join(f"{error:.2f}" for error in errors_mm))
 
     above = Panel((0, 1), 30, 395, -0.80, -0.12, 252)
@@ -103,18 +104,17 @@ def main():
         parts.append(circle(above(point), 4, "seen"))
     for point in true_seen:
         parts.append(circle(above(point), 7, "truth"))
-    for at, point in zip(nearest, true_hidden):
-        parts += [circle(above(hidden[at]), 4, "hidden"), circle(above(point), 7, "truth")]
+    parts += [circle(above(point), 4, "hidden") for point in hidden] + [circle(above(point), 7, "truth") for point in true_hidden]
     x, y = above((0, 0, 0))
     parts += [f'<rect x="{x - 9}" y="{y - 6}" width="18" height="12" rx="3" class="ink"/>', text(x, y + 24, "laser and sensor", "ink", "middle")]
     x, y = above((-0.05, 0.82, 0))
     parts.append(text(x - 20, y + 4, "a third bounce", "hidden", "middle"))
 
-    for at, point in zip(nearest, true_hidden):
-        away = point + LARGER * (hidden[at] - point)
-        place = beside(away)
-        parts += [ellipse(beside, place, covariances[at]), line(beside(point), place, "error")]
-        parts += [circle(place, 3.4, "hidden"), circle(beside(point), 6, "truth")]
+    for at, point, covariance in zip(nearest, hidden, covariances):
+        truth = true_hidden[at]
+        place = beside(truth + LARGER * (point - truth))
+        parts += [ellipse(beside, place, covariance), line(beside(truth), place, "error"), circle(place, 3.4, "hidden")]
+    parts += [circle(beside(point), 6, "truth") for point in true_hidden]
     for panel in (above, beside):
         x, y = panel.left + 6, panel.bottom + 14
         parts += [line((x, y), (round(x + 0.2 * panel.scale, 1), y), "bar"), text(round(x + 0.2 * panel.scale + 8, 1), y + 4, "20 cm")]

@@ -216,12 +216,19 @@ fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
     assert!(search.off_plane_m.is_some_and(|off_m| off_m < 2.0 * bound_m) && by_rank_m.len() < 9);
 }
 
-/// All are within some standard deviations plus half a patch; those on a plane are as flat as their errors allow.
+/// Nearly all are within some standard deviations plus half a patch: third bounces of two patches may blend in all
+/// profiles. Those on a plane are as flat as their errors allow. Visible patches stand where second bounces of 100,000
+/// times their noise say, though none of these is a point of light.
 #[test]
 fn patches_on_a_hidden_plane_are_found_and_flat() {
     let drawn = drawn(1);
     eprintln!("{:?}, {} more, plane {:?}", drawn.scored.places, drawn.scored.extra, drawn.plane);
     let right = drawn.scored.places.iter().filter(|place| place.is_right()).count();
-    assert!(right >= 8 && drawn.scored.extra == 0, "{:?}", drawn.scored.places);
+    assert!(right >= 7 && drawn.scored.extra == 0, "{:?}", drawn.scored.places);
+    let visible = &drawn.scored.points[..VISIBLE];
+    let error_m = |(truth, found): &(Vector3<f64>, Option<Vector3<f64>>)| found.map(|found| (found - truth).norm());
+    let worst_m = visible.iter().map(|point| error_m(point).expect("visible patches are placed")).fold(0.0, f64::max);
+    eprintln!("visible patches within {:.3} mm", 1e3 * worst_m);
+    assert!(worst_m < 1e-4, "{worst_m}");
     assert!(drawn.plane.is_some_and(|(patches, rms_m)| patches >= 6 && rms_m < 0.002), "{:?}", drawn.plane);
 }
