@@ -171,7 +171,8 @@ fn a_campaign_without_response_captures_is_told_so() {
     let lab = Lab::tiny();
     fs::remove_dir_all(lab.campaign().join("raw/response")).unwrap();
     let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
-    assert!(error.contains("[profiles]") && error.contains("from response captures"), "{error}");
+    assert!(error.contains("campaign.toml: no file shows the impulse response of sensor `s1`"), "{error}");
+    assert!(error.contains("[stir]") && !lab.path("out").join("profiles").exists(), "{error}");
 }
 
 #[test]

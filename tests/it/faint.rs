@@ -142,7 +142,7 @@ fn a_patch_too_weak_for_onsets_is_found_in_all_profiles_together() {
 fn light_that_shows_no_patch_is_declined() {
     let seen = run(&draw(0.0, 8).scene, 8);
     assert!(seen.by_label == 0 && seen.patches.is_empty(), "{:?}", seen.hypotheses);
-    let seen = run(&draw(1.0, 0).scene, 0);
+    let seen = run(&draw(1.1, 0).scene, 0);
     let [row] = seen.hypotheses.as_slice() else { panic!("{:?}", seen.hypotheses) };
     assert!(row.patch.is_none() && row.evidence > 0.0 && row.evidence < row.evidence_needed, "{row:?}");
     assert!(row.shots_needed.unwrap() > 50.0, "{row:?}");

@@ -41,9 +41,9 @@ fn a_fit_that_is_not_explained_says_how_much_larger_its_errors_are() {
     assert_eq!(chosen(fit(80.0, 50)), "explained");
     assert_eq!(chosen(fit(300.0, 50)), "explained but for the onsets that `suspects` lists");
     let misfit = Fit { misfit: 4.0, ..fit(200.0, 50) };
-    assert_eq!(chosen(misfit), "not explained: standard deviations are larger for it, 2.0 times for all");
+    assert_eq!(chosen(misfit), "not explained: the program widened standard deviations, 2.0 times for all");
     let later = Fit { widened: vec![1.0, 1.0, 9.0, 1.0], ..fit(50.0, 50) };
-    assert_eq!(chosen(later), "not explained: standard deviations are larger for it, 3.0 times for later bounces");
+    assert_eq!(chosen(later), "not explained: the program widened standard deviations, 3.0 times for later bounces");
     assert_eq!(chosen(fit(0.0, 0)), "unchecked");
 }
 
@@ -119,7 +119,9 @@ fn the_verdict_of_a_relay_wall_comes_first() {
     assert!(rows[0].chosen.contains("extended object") && rows[0].evidence.contains("24 points"), "{rows:?}");
     assert!(rows[1].evidence.contains("0.635") && rows[3].chosen.contains("526 ps"), "{rows:?}");
     let chosen = |verdict: &str| of(search(verdict, Some(1.0)))[0].chosen.to_string();
-    assert!(chosen("points").starts_with("3 points with error bars") && chosen("cannot-tell").starts_with("cannot be"));
+    assert!(
+        chosen("points").starts_with("3 points with error bars") && chosen("cannot-tell").starts_with("undetermined")
+    );
     assert_eq!(chosen("nothing"), "nothing");
 }
 
