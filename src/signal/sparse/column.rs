@@ -14,6 +14,25 @@ pub(super) struct Column {
     shape: Vec<[f64; 3]>,
 }
 
+/// Where products of two columns go: a block of a matrix with rows of `n`, of these `counts` from a `corner` on.
+struct Products<'a> {
+    products: &'a mut [f64],
+    n: usize,
+    corner: (usize, usize),
+    counts: (usize, usize),
+}
+
+impl Products<'_> {
+    /// Adds what of a part, which begins so far from the corner, lies within the counts.
+    fn add<const P: usize, const Q: usize>(&mut self, from: (usize, usize), part: [[f64; Q]; P]) {
+        for (row, part) in (from.0..self.counts.0).zip(&part) {
+            for (column, product) in (from.1..self.counts.1).zip(part) {
+                self.products[(self.corner.0 + row) * self.n + self.corner.1 + column] += product;
+            }
+        }
+    }
+}
+
 impl Column {
     pub(super) fn new(record: &WhitenedRecord, place: &Place) -> Self {
         if place.shapes() == 0 {
@@ -76,20 +95,14 @@ impl Column {
         n: usize,
         corner: (usize, usize),
     ) {
-        let mut write = |p: usize, q: usize, rows: &[&[f64]]| {
-            for (row, block) in (p..counts.0).zip(rows) {
-                for (column, product) in (q..counts.1).zip(*block) {
-                    products[(corner.0 + row) * n + corner.1 + column] += product;
-                }
-            }
-        };
-        write(0, 0, &dot(self.first, &self.samples, other.first, &other.samples).each_ref().map(|row| &row[..]));
+        let mut into = Products { products, n, corner, counts };
+        into.add((0, 0), dot(self.first, &self.samples, other.first, &other.samples));
         if !self.shape.is_empty() {
-            write(2, 0, &dot(self.first, &self.shape, other.first, &other.samples).each_ref().map(|row| &row[..]));
+            into.add((2, 0), dot(self.first, &self.shape, other.first, &other.samples));
         }
         if !other.shape.is_empty() {
-            write(0, 2, &dot(self.first, &self.samples, other.first, &other.shape).each_ref().map(|row| &row[..]));
-            write(2, 2, &dot(self.first, &self.shape, other.first, &other.shape).each_ref().map(|row| &row[..]));
+            into.add((0, 2), dot(self.first, &self.samples, other.first, &other.shape));
+            into.add((2, 2), dot(self.first, &self.shape, other.first, &other.shape));
         }
     }
 

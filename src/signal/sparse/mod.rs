@@ -37,6 +37,7 @@ mod joint;
 mod linear;
 mod matched;
 mod model;
+mod nodes;
 mod nuisance;
 mod own_response;
 mod pair;
