@@ -16,7 +16,7 @@ pub(super) struct Column {
 
 /// Where products of two columns go: a block of a matrix with rows of `n`, of these `counts` from a `corner` on.
 struct Products<'a> {
-    products: &'a mut [f64],
+    matrix: &'a mut [f64],
     n: usize,
     corner: (usize, usize),
     counts: (usize, usize),
@@ -27,7 +27,7 @@ impl Products<'_> {
     fn add<const P: usize, const Q: usize>(&mut self, from: (usize, usize), part: [[f64; Q]; P]) {
         for (row, part) in (from.0..self.counts.0).zip(&part) {
             for (column, product) in (from.1..self.counts.1).zip(part) {
-                self.products[(self.corner.0 + row) * self.n + self.corner.1 + column] += product;
+                self.matrix[(self.corner.0 + row) * self.n + self.corner.1 + column] += product;
             }
         }
     }
@@ -95,7 +95,7 @@ impl Column {
         n: usize,
         corner: (usize, usize),
     ) {
-        let mut into = Products { products, n, corner, counts };
+        let mut into = Products { matrix: products, n, corner, counts };
         into.add((0, 0), dot(self.first, &self.samples, other.first, &other.samples));
         if !self.shape.is_empty() {
             into.add((2, 0), dot(self.first, &self.shape, other.first, &other.samples));
