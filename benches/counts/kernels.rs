@@ -167,6 +167,7 @@ fn gauss_newton() -> Kernel {
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         }
     };
     let first = (0..points.len()).map(|a| observation(&[a]));

@@ -30,6 +30,7 @@ pub fn measured(
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         }
     };
     let observations = ways.iter().zip(sds_m).map(observation).collect();

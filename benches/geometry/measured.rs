@@ -72,6 +72,7 @@ impl Measured {
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         };
         let first = self.first.iter().enumerate().map(|(i, length)| observation(&[i], length));
         let second = self.second.iter().map(|(a, b, length)| observation(&[*a, *b], length));

@@ -15,6 +15,9 @@
 //! rotations that no path length sees: the Cramer-Rao bound at the solution. A matrix-free solution has blocks of it
 //! ([`Solution::is_exact`]).
 //!
+//! Observations may also share errors that are no unknowns ([`shares`]); the squared terms are then those of residuals
+//! made independent within each group that shares some.
+//!
 //! The solution names what nothing determines: parts that share no path, rotations, and patches that can move freely.
 //! It does not see a mirror image or another minimum that explains the lengths as well.
 
@@ -24,6 +27,7 @@ mod matrix_free;
 mod outliers;
 mod problem;
 mod rows;
+mod shares;
 mod solution;
 
 use faer::Mat;
@@ -34,6 +38,7 @@ pub use outliers::outliers;
 pub use problem::{Anchor, Node, Observation, Problem, Ray, Station};
 use rows::Rows;
 pub use rows::Values;
+pub use shares::shares;
 use solution::Covariance;
 pub use solution::Solution;
 
@@ -294,10 +299,10 @@ fn predicted_variances_m2(rows: &Rows, values: &Values, covariance: &Mat<f64>, o
             return f64::INFINITY;
         }
         rows.problem.cancel.check();
-        rows.residual(values, n, Some(&mut terms));
+        terms.clear();
+        rows.path(values, n, 1.0, &mut terms);
         let pairs = terms.iter().flat_map(|a| terms.iter().map(move |b| (a, b)));
-        let sum: f64 = pairs.map(|(&(i, a), &(j, b))| a * covariance[(i, j)] * b).sum();
-        sum * observation.sd_m * observation.sd_m
+        pairs.map(|(&(i, a), &(j, b))| a * covariance[(i, j)] * b).sum()
     };
     rows.problem.observations.iter().enumerate().map(&mut variance).collect()
 }

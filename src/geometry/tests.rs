@@ -54,6 +54,7 @@ fn problem(points: &[Point], partners: usize, rng: &mut ChaCha8Rng) -> Problem {
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         }
     };
     let mut observations = Vec::new();

@@ -1,11 +1,12 @@
-//! Positions of patches and their covariances, as points and matrices, from their tables and into them.
+//! Positions of patches and their covariances, as points and matrices, from their tables and into them; covariances of
+//! onsets.
 
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
 use crate::geometry::Point;
-use crate::tables::{Hypothesis, Patch, PatchCovariance};
+use crate::tables::{Hypothesis, Onset, Patch, PatchCovariance};
 use crate::units::PatchId;
 
 /// Covariance of a patch's position, in m^2; `None` for a start value.
@@ -33,6 +34,11 @@ pub fn between(row: &PatchCovariance) -> Matrix3<f64> {
         row.cov_zy_m2,
         row.cov_zz_m2,
     )
+}
+
+/// Covariance of an onset's time with those of all onsets of its profile, ps^2, the jitter that they share included.
+pub fn of_onset_ps2(onset: &Onset) -> Vec<f64> {
+    onset.covariance.iter().map(|own_ps2| own_ps2 + onset.jitter_ps.powi(2)).collect()
 }
 
 /// The row of a patch by its position and covariance in m^2 (`None`: a start value), without onsets, chi-square and

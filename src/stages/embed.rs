@@ -218,6 +218,7 @@ impl Measured<'_> {
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         };
         let first_bounces = first.iter().map(|(patch, length)| observation(&[*patch], length));
         let second_bounces = second.iter().map(|((a, b), length)| observation(&[*a, *b], length));

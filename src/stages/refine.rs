@@ -46,13 +46,17 @@
 //! Without a labelled onset, `patches` that all have a covariance are passed on: anchors whose own light was not
 //! recorded.
 //!
+//! Onsets of one profile share errors: jitter, what their pulses take from one another, both parts of a pair. Their
+//! covariance (`labels.covariance`) weighs them together; residuals and standard deviations in the tables are of each
+//! alone.
+//!
 //! Residuals beyond three standard deviations count linearly, so that a wrong label does little harm. Where more labels
 //! are wrong, onsets that contradict the others are left out ([`maximum_likelihood::outliers`]). The table `suspects`
 //! lists these, residuals beyond four of their own standard deviations, and onsets that no other checks. Beyond 1,000
 //! patches covariances are of each patch alone (`fits.covariance`), and alternatives are not searched for.
 //!
 //! Takes `labels`; writes `patches`, `patch_covariances`, `delays`, `stations`, `residuals`, `suspects`, `fits`,
-//! `ambiguities`, `footprints`. Not modelled: errors that onsets of one profile share. Optional tables:
+//! `ambiguities`, `footprints`. Optional tables:
 //! - `patches` to start from; those that are missing are placed from nothing ([`crate::geometry::placement`]);
 //! - `calibration`, without which latencies are taken as exact;
 //! - `planes`;
@@ -76,6 +80,7 @@ mod model;
 mod others;
 mod readings;
 mod rows;
+mod shared;
 mod weights;
 
 use arrow_array::RecordBatch;
@@ -126,7 +131,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 17;
+    const VERSION: u32 = 18;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },

@@ -27,6 +27,10 @@ table! {
         time_ps: f64,
         /// Standard deviation of the time, the jitter that the profile's onsets share included.
         time_sd_ps: f64,
+        /// Covariance of the time error with those of all onsets of its profile in ps^2, in order of rank, the jitter
+        /// that they share included; at its own rank, for a part that with the other part, else the variance without
+        /// what light of other paths adds. Empty for alternatives.
+        covariance: Vec<f64>,
         /// Width of the onset beyond the sensor's response; null for a part, which is a point.
         width_ps: Option<f64>,
         /// Standard deviation of the width, where the onset has one.

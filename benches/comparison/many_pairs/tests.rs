@@ -62,6 +62,7 @@ impl Measured {
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         };
         let first = self.first_m.iter().enumerate().map(|(i, length_m)| observation(&[i], *length_m));
         let second = room::all_pairs(start.len()).into_iter().zip(self.second_m.iter().zip(&self.sds));

@@ -61,7 +61,8 @@ pub fn covariance(
     open: &[usize],
 ) -> Result<Mat<f64>, Option<(usize, Mat<f64>)>> {
     let is_open = |node: &Node| matches!(node, Node::Patch(patch) if open.contains(patch));
-    let avoids = |n: usize| rows.problem.observations.get(n).is_none_or(|o| !o.nodes.iter().any(is_open));
+    let meets = |n: usize| rows.problem.observations[n].nodes.iter().any(is_open);
+    let avoids = |n: usize| !rows.observations_of(n).iter().any(|(part, _)| meets(*part));
     let (mut normal, _) = sums(rows, values, avoids);
     let size = normal.nrows();
     let stiff = (0..size).map(|i| normal[(i, i)]).fold(0.0, f64::max);

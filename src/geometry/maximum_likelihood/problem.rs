@@ -33,7 +33,7 @@ pub struct Observation {
     pub nodes: Vec<Node>,
     /// Measured length, laser periods added at their nominal length.
     pub length_m: f64,
-    /// Its standard deviation.
+    /// Its standard deviation, with all errors but the common ones.
     pub sd_m: f64,
     /// Delay that adds to it, by its position.
     pub delay: Option<usize>,
@@ -41,6 +41,10 @@ pub struct Observation {
     pub turns: i32,
     /// Errors that it has in common with others, by their numbers: what one standard deviation of each adds, m.
     pub common: Vec<(usize, f64)>,
+    /// The part of `sd_m` that it shares with others, by the numbers of independent errors: what one standard deviation
+    /// of each adds, m. Two observations have the sum of the products of their shares as covariance
+    /// ([`super::shares`]). Unlike common errors these are no unknowns.
+    pub shared: Vec<(usize, f64)>,
 }
 
 impl Observation {
@@ -160,6 +164,8 @@ impl Problem {
                 "a path has two ends and a standard deviation"
             );
             assert!(observation.nodes.iter().all(is_there), "stations and patches of a path are there");
+            let shared_m2: f64 = observation.shared.iter().map(|(_, each_m)| each_m * each_m).sum();
+            assert!(shared_m2 < observation.sd_m.powi(2), "an observation has errors of its own");
             assert!(observation.delay.is_none_or(|delay| delay < self.delays()), "a delay has a prior");
         }
         let priors = self.anchors.iter().map(|anchor| anchor.sd_m).chain(self.rays.iter().map(|ray| ray.sd_rad));

@@ -6,6 +6,7 @@ use faer::Mat;
 use nalgebra::Vector3;
 
 use super::problem::{Node, Observation, Problem};
+use super::shares::Whitener;
 use crate::loss::Loss;
 use crate::{Point, dense};
 
@@ -119,6 +120,8 @@ pub struct Rows<'a> {
     pub layout: Layout,
     /// Takes delays to independent numbers of variance 1.
     whitener: Mat<f64>,
+    /// The same for residuals of observations.
+    observations: Whitener,
     /// Number of terms.
     pub count: usize,
     /// Measurements and priors, the length of a direction not counted.
@@ -141,12 +144,18 @@ impl<'a> Rows<'a> {
         let vectors = problem.anchors.len() + problem.rays.len() + layout.stations.iter().flatten().count();
         let scalars = problem.observations.len() + delays + usize::from(layout.period.is_some()) + problem.common();
         let count = scalars + layout.dimensions * vectors;
-        Self { problem, whitener, count, data: count - problem.rays.len(), layout }
+        let observations = Whitener::new(&problem.observations);
+        Self { problem, whitener, observations, count, data: count - problem.rays.len(), layout }
     }
 
     /// Residual of an observation: measured less predicted length.
     pub fn residual_m(&self, values: &Values, n: usize) -> f64 {
         values.residual_m(&self.problem.observations[n])
+    }
+
+    /// The observations whose residuals, each times a factor, make the residual of a term; none make that of a prior.
+    pub fn observations_of(&self, n: usize) -> &[(usize, f64)] {
+        if n < self.problem.observations.len() { self.observations.terms(n) } else { &[] }
     }
 
     /// Sum of the losses of some terms.
@@ -168,10 +177,11 @@ impl<'a> Rows<'a> {
         let Problem { observations, anchors, rays, .. } = self.problem;
         let dimensions = self.layout.dimensions;
         let Some(n) = n.checked_sub(observations.len()) else {
+            let parts = self.observations.terms(n);
             if let Some(terms) = terms {
-                self.path(values, n, terms);
+                parts.iter().for_each(|(part, factor)| self.path(values, *part, *factor, terms));
             }
-            return self.residual_m(values, n) / observations[n].sd_m;
+            return parts.iter().map(|(part, factor)| factor * self.residual_m(values, *part)).sum();
         };
         let Some(n) = n.checked_sub(anchors.len() * dimensions) else {
             let (anchor, k) = (&anchors[n / dimensions], n % dimensions);
@@ -203,10 +213,9 @@ impl<'a> Rows<'a> {
         -values.common[n]
     }
 
-    /// Derivatives of a path's length over its standard deviation.
-    fn path(&self, values: &Values, n: usize, terms: &mut Terms) {
+    /// Adds the derivatives of an observation's length, times a factor.
+    pub fn path(&self, values: &Values, n: usize, scale: f64, terms: &mut Terms) {
         let (observation, layout) = (&self.problem.observations[n], &self.layout);
-        let scale = 1.0 / observation.sd_m;
         for ends in observation.nodes.windows(2) {
             let arm = values.position(ends[1]) - values.position(ends[0]);
             // Ends that coincide pull nowhere.
@@ -225,10 +234,16 @@ impl<'a> Rows<'a> {
     }
 
     /// Adds what the bending of a path contributes to the product of the objective's second derivatives with a vector.
-    /// The path has a residual, and its square a weight. A leg from a to b along u adds
-    /// `-weight residual / s B (v_b - v_a)` at b and its negative at a, with `B = (I - u u') / length`.
+    /// The term has a residual, and its square a weight. A leg from a to b along u adds
+    /// `-weight residual factor B (v_b - v_a)` at b and its negative at a, with `B = (I - u u') / length`.
     pub fn bend(&self, values: &Values, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
-        let Some(observation) = self.problem.observations.get(n) else { return };
+        for (part, factor) in self.observations_of(n) {
+            self.bend_path(values, *part, -weight * residual * factor, vector, sum);
+        }
+    }
+
+    fn bend_path(&self, values: &Values, n: usize, scale: f64, vector: &[f64], sum: &mut [f64]) {
+        let observation = &self.problem.observations[n];
         let of = |node: Node| {
             let at = self.at(node);
             Vector3::from_fn(|k, _| at.filter(|_| k < self.layout.dimensions).map_or(0.0, |at| vector[at + k]))
@@ -241,7 +256,7 @@ impl<'a> Rows<'a> {
             }
             let along = arm / length_m;
             let apart = of(ends[1]) - of(ends[0]);
-            let across = (apart - along * along.dot(&apart)) * (-weight * residual / (observation.sd_m * length_m));
+            let across = (apart - along * along.dot(&apart)) * (scale / length_m);
             for (node, sign) in [(ends[0], -1.0), (ends[1], 1.0)] {
                 if let Some(at) = self.at(node) {
                     (0..self.layout.dimensions).for_each(|k| sum[at + k] += sign * across[k]);

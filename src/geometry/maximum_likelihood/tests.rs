@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 /// Metres of path in a picosecond.
 const C: f64 = 2.997_924_58e-4;
 
-fn observations(points: &[Point], sd_m: f64, rng: &mut ChaCha8Rng) -> Vec<Observation> {
+pub(super) fn observations(points: &[Point], sd_m: f64, rng: &mut ChaCha8Rng) -> Vec<Observation> {
     let origin = Node::Station(0);
     let mut paths: Vec<Vec<Node>> = (0..points.len()).map(|i| vec![origin, Node::Patch(i), origin]).collect();
     paths.extend(
@@ -19,7 +19,15 @@ fn observations(points: &[Point], sd_m: f64, rng: &mut ChaCha8Rng) -> Vec<Observ
     let measure = |nodes: Vec<Node>| {
         let noise: f64 = StandardNormal.sample(rng);
         let length_m = way_m(&nodes, &[Point::origin()], points) + sd_m * noise;
-        Observation { nodes, length_m, sd_m: sd_m.max(1e-6), delay: Some(0), turns: 0, common: Vec::new() }
+        Observation {
+            nodes,
+            length_m,
+            sd_m: sd_m.max(1e-6),
+            delay: Some(0),
+            turns: 0,
+            common: Vec::new(),
+            shared: Vec::new(),
+        }
     };
     paths.into_iter().map(measure).collect()
 }
@@ -33,7 +41,7 @@ fn way_m(nodes: &[Node], stations: &[Point], points: &[Point]) -> f64 {
     nodes.windows(2).map(|ends| nalgebra::distance(&at(&ends[0]), &at(&ends[1]))).sum()
 }
 
-fn problem(start: Vec<Point>, observations: Vec<Observation>, delay_sd_m: f64) -> Problem {
+pub(super) fn problem(start: Vec<Point>, observations: Vec<Observation>, delay_sd_m: f64) -> Problem {
     Problem::new(start, 3, &[Point::origin()], observations).with_common_delay(delay_sd_m)
 }
 
@@ -455,6 +463,7 @@ fn derivatives_are_those_of_the_residuals() {
     let mut problem = problem(truth.clone(), observations(&truth, 0.001, &mut rng), 1.0);
     problem.observations.truncate(60);
     problem.observations.iter_mut().for_each(|o| o.turns = 1);
+    problem.observations[50..].iter_mut().for_each(|o| o.shared = vec![(0, 0.7 * o.sd_m)]);
     problem.period_sd_m = 0.1;
     problem.stations.push(Station { position: Point::new(0.2, 0.1, 0.3), sd_m: 0.01 });
     problem.anchors = vec![Anchor { patch: 4, position: truth[4], sd_m: 0.1 }];

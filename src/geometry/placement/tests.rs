@@ -23,6 +23,7 @@ fn measured(truth: &[Point], stations: &[Point], ways: &[Way], sd_m: f64, seed: 
             delay: None,
             turns: 0,
             common: Vec::new(),
+            shared: Vec::new(),
         }
     };
     Problem::new(vec![Point::origin(); truth.len()], 3, stations, ways.iter().map(observation).collect())

@@ -54,6 +54,7 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         part: place.part,
         time_ps: place.time_ps + medium.turns_ps(verdict.turns),
         time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
+        covariance: if alternative == 0 { covariance_ps2(onset, place.part) } else { Vec::new() },
         width_ps: (place.part == 0).then_some(onset.width_ps),
         width_sd_ps: onset.width_sd_ps.filter(|_| place.part == 0),
         width_kurtosis: onset.width_kurtosis.filter(|_| place.part == 0),
@@ -65,6 +66,19 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         probability: verdict.probability,
         alternative,
     }
+}
+
+/// Of an onset or a part of it with all onsets of its profile; where that of a part is not known, that of its onset.
+fn covariance_ps2(onset: &Onset, part: i32) -> Vec<f64> {
+    let mut all = covariances::of_onset_ps2(onset);
+    let between_parts = |onset: &Onset| {
+        let own_ps2 = onset.pair_correlation? * onset.pair_first_sd_ps? * onset.pair_second_sd_ps?;
+        Some(own_ps2 + onset.jitter_ps.powi(2))
+    };
+    if let (1.., Some(own), Some(between_ps2)) = (part, all.get_mut(onset.rank as usize - 1), between_parts(onset)) {
+        *own = between_ps2;
+    }
+    all
 }
 
 /// Signal-to-noise ratio of an onset, or of one of the two pulses that it is read as.

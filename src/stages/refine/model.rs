@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::context::{Context, Fields};
 use super::drift::Drift;
+use super::shared;
 use crate::campaign::keys::{self, LASER, PatchRole};
 use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
@@ -152,7 +153,7 @@ impl<'a> Model<'a> {
             start: vec![Point::origin(); self.patches.len()],
             dimensions: usize::from(first.dimensions),
             stations: self.stations.iter().map(station).collect(),
-            observations: self.labels.iter().map(|label| self.observation(label)).collect(),
+            observations: self.observations(),
             anchors: self.anchors(first),
             rays: self.rays(first),
             delay_covariance_m2: Matrix::from_fn(count, count, |i, k| length_m2(&self.delays[i], &self.delays[k])),
@@ -200,11 +201,23 @@ impl<'a> Model<'a> {
         first.period_sd_ps().map_or(0.0, |sd_ps| first.medium.path_m(sd_ps))
     }
 
+    /// Those of all labels, with the errors that they share.
+    fn observations(&self) -> Vec<Observation> {
+        let both = self.labels.iter().zip(shared::shares_ps(self.labels));
+        both.map(|(label, shares)| {
+            let medium = &self.fields(label).medium;
+            let shared = shares.into_iter().map(|(error, each_ps)| (error, medium.path_m(each_ps))).collect();
+            Observation { shared, ..self.observation(label) }
+        })
+        .collect()
+    }
+
     /// Whether all patches of a label's path are unknowns.
     pub fn has_patches_of(&self, label: &Label) -> bool {
         label.path.iter().flatten().all(|patch| self.patches.binary_search(patch).is_ok())
     }
 
+    /// A label by itself.
     pub fn observation(&self, label: &Label) -> Observation {
         let Fields { medium, stations, .. } = self.fields(label);
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
@@ -220,6 +233,7 @@ impl<'a> Model<'a> {
             delay: delay.and_then(|delay| self.delays.binary_search(delay).ok()),
             turns: label.turns,
             common: Vec::new(),
+            shared: Vec::new(),
         };
         self.drift.iter().for_each(|drift| drift.add_to(label, &mut observation));
         observation

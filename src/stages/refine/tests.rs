@@ -1,4 +1,5 @@
 mod drift;
+mod shared;
 
 use std::collections::BTreeMap;
 use std::path::Path;

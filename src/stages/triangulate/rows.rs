@@ -72,6 +72,7 @@ impl Model {
                         part: 0,
                         time_ps: self.medium.time_ps(of.lengths_m[strips[strip]]),
                         time_sd_ps: onset.time_sd_ps.hypot(onset.jitter_ps),
+                        covariance: if alternative == 0 { covariances::of_onset_ps2(onset) } else { Vec::new() },
                         width_ps: Some(onset.width_ps),
                         width_sd_ps: onset.width_sd_ps,
                         width_kurtosis: onset.width_kurtosis,

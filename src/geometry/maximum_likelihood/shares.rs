@@ -1,0 +1,146 @@
+//! Errors that observations share without being unknowns: onsets of one profile, both pulses of a blended pair.
+//!
+//! A covariance among observations is written as independent errors, each of which several observations have
+//! ([`Observation::shared`]). So some of the observations can be left out, and the standard deviations of others
+//! enlarged by errors of their own, without the rest becoming wrong. Residuals are taken to independent ones by the
+//! Cholesky factor of the covariance of each group of observations that share errors.
+
+use faer::Mat;
+
+use super::Observation;
+use crate::dense;
+
+/// Correlations below this change no position by a percent of its standard deviation.
+const CORRELATED: f64 = 0.05;
+/// Least share of a variance that is of its observation alone.
+const OWN_MIN: f64 = 1e-3;
+
+/// A covariance as independent errors: of each observation the numbers of the errors that it shares, and what one
+/// standard deviation of each adds, in the unit of the standard deviations. Observations that correlate with none by
+/// 0.05 share none.
+///
+/// With the correlations `C = V L V'` of a group and the least eigenvalue `l`, the shares are `V (L - l)^(1/2)`, and
+/// the part `l` of each variance is the observation's own. Where a matrix is no covariance (`l < 0`), the nearest one
+/// that is made so takes its place.
+///
+/// # Panics
+/// When the matrix is not square, or a variance is not positive.
+#[must_use]
+pub fn shares(covariance: &Mat<f64>) -> Vec<Vec<(usize, f64)>> {
+    let count = covariance.nrows();
+    let sds: Vec<f64> = (0..count).map(|n| covariance[(n, n)].sqrt()).collect();
+    assert!(sds.iter().all(|sd| *sd > 0.0), "variances are positive");
+    let correlation = |a: usize, b: usize| 0.5 * (covariance[(a, b)] + covariance[(b, a)]) / (sds[a] * sds[b]);
+    let mut groups = Groups::new(count);
+    for a in 0..count {
+        (0..a).filter(|&b| correlation(a, b).abs() > CORRELATED).for_each(|b| groups.join(a, b));
+    }
+    let (mut all, mut next) = (vec![Vec::new(); count], 0);
+    for group in groups.sets().into_iter().filter(|group| group.len() > 1) {
+        let matrix =
+            Mat::from_fn(group.len(), group.len(), |i, j| if i == j { 1.0 } else { correlation(group[i], group[j]) });
+        let (values, vectors) = dense::symmetric_eigen(&matrix);
+        let own = values[0].max(OWN_MIN);
+        let sizes: Vec<f64> = values.iter().map(|value| (value - own).max(0.0).sqrt()).collect();
+        for (i, &n) in group.iter().enumerate() {
+            let of_errors: Vec<f64> = sizes.iter().enumerate().map(|(k, size)| vectors[(i, k)] * size).collect();
+            let variance: f64 = of_errors.iter().map(|share| share * share).sum();
+            let scale = sds[n] * ((1.0 - own) / variance.max(1.0 - own)).sqrt();
+            let shared = of_errors.iter().enumerate().filter(|(_, share)| **share != 0.0);
+            all[n] = shared.map(|(k, share)| (next + k, scale * share)).collect();
+        }
+        next += group.len();
+    }
+    all
+}
+
+/// Takes residuals of observations, as lengths, to independent ones of variance 1.
+pub(super) struct Whitener {
+    /// Where the terms of each observation begin, and where those of the last one end.
+    starts: Vec<usize>,
+    /// The observations whose residuals are added up, and their factors; an observation itself is the last of its own.
+    terms: Vec<(usize, f64)>,
+}
+
+impl Whitener {
+    pub(super) fn new(observations: &[Observation]) -> Self {
+        let mut of_each: Vec<Vec<(usize, f64)>> =
+            observations.iter().enumerate().map(|(n, observation)| vec![(n, 1.0 / observation.sd_m)]).collect();
+        for group in sharing(observations) {
+            let covariance = Mat::from_fn(group.len(), group.len(), |i, j| {
+                let (a, b) = (&observations[group[i]], &observations[group[j]]);
+                if i == j { a.sd_m * a.sd_m } else { product(&a.shared, &b.shared) }
+            });
+            let factored = dense::Definite::new(&covariance).expect("shares are less than the whole error");
+            let mut inverse = Mat::identity(group.len(), group.len());
+            factored.whiten(&mut inverse);
+            for (i, &n) in group.iter().enumerate() {
+                of_each[n] =
+                    (0..=i).map(|j| (group[j], inverse[(i, j)])).filter(|(_, factor)| *factor != 0.0).collect();
+            }
+        }
+        let starts = std::iter::once(0)
+            .chain(of_each.iter().scan(0, |end, terms| {
+                *end += terms.len();
+                Some(*end)
+            }))
+            .collect();
+        Self { starts, terms: of_each.concat() }
+    }
+
+    /// The observations whose residuals make that of one, and their factors.
+    pub(super) fn terms(&self, observation: usize) -> &[(usize, f64)] {
+        &self.terms[self.starts[observation]..self.starts[observation + 1]]
+    }
+}
+
+/// Observations that share errors, directly or over others, in ascending order.
+fn sharing(observations: &[Observation]) -> Vec<Vec<usize>> {
+    let errors = observations.iter().flat_map(|observation| &observation.shared).map(|(error, _)| error + 1).max();
+    let mut first_with = vec![None; errors.unwrap_or(0)];
+    let mut groups = Groups::new(observations.len());
+    for (n, observation) in observations.iter().enumerate() {
+        for (error, _) in &observation.shared {
+            groups.join(n, *first_with[*error].get_or_insert(n));
+        }
+    }
+    groups.sets().into_iter().filter(|group| group.len() > 1).collect()
+}
+
+/// Sum of the products of two observations' shares of the same errors.
+fn product(a: &[(usize, f64)], b: &[(usize, f64)]) -> f64 {
+    let pairs = a.iter().flat_map(|a| b.iter().map(move |b| (a, b)));
+    pairs.filter(|((one, _), (other, _))| one == other).map(|((_, a), (_, b))| a * b).sum()
+}
+
+/// Sets of numbers that are joined one by one (union-find).
+struct Groups(Vec<usize>);
+
+impl Groups {
+    fn new(count: usize) -> Self {
+        Self((0..count).collect())
+    }
+
+    fn first(&self, mut number: usize) -> usize {
+        while self.0[number] != number {
+            number = self.0[number];
+        }
+        number
+    }
+
+    fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.first(a), self.first(b));
+        self.0[a.max(b)] = a.min(b);
+    }
+
+    /// All sets, each in ascending order.
+    fn sets(&self) -> Vec<Vec<usize>> {
+        let mut sets = vec![Vec::new(); self.0.len()];
+        (0..self.0.len()).for_each(|number| sets[self.first(number)].push(number));
+        sets.retain(|set| !set.is_empty());
+        sets
+    }
+}
+
+#[cfg(test)]
+mod tests;
