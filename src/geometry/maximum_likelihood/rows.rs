@@ -180,6 +180,9 @@ impl<'a> Rows<'a> {
             let parts = self.observations.terms(n);
             if let Some(terms) = terms {
                 parts.iter().for_each(|(part, factor)| self.path(values, *part, *factor, terms));
+                if parts.len() > 1 {
+                    add_up(terms);
+                }
             }
             return parts.iter().map(|(part, factor)| factor * self.residual_m(values, *part)).sum();
         };
@@ -291,6 +294,18 @@ impl<'a> Rows<'a> {
         }
         (ray.direction[k] - along[k]) / ray.sd_rad
     }
+}
+
+/// Makes one of all derivatives by the same unknown: paths of one profile have their ends in common.
+fn add_up(terms: &mut Terms) {
+    terms.sort_by_key(|(unknown, _)| *unknown);
+    terms.dedup_by(|next, kept| {
+        let is_same = next.0 == kept.0;
+        if is_same {
+            kept.1 += next.1;
+        }
+        is_same
+    });
 }
 
 fn push(terms: Option<&mut Terms>, at: usize, value: f64) {

@@ -62,7 +62,7 @@ fn shared_errors_weigh_as_those_that_are_unknowns() {
         // Some oppose one another, and some have two.
         let each_m = if n % 2 == 0 { 3e-4 } else { -2e-4 };
         observation.common = vec![(n / 3 % 40, each_m)];
-        observation.common.extend((n % 7 == 0).then_some((40 + n % 5, 1e-4)));
+        observation.common.extend((n % 7 == 0).then_some((40 + n / 12 % 10, 1e-4)));
         let error: f64 = StandardNormal.sample(&mut rng);
         observation.length_m += 3e-4 * error;
     }
