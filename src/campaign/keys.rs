@@ -59,6 +59,13 @@ pub struct Campaign {
 }
 
 impl Campaign {
+    /// Whether all files are of a lidar: PulseWaves or LAS.
+    #[must_use]
+    pub fn is_of_lidar(&self) -> bool {
+        let is_lidar = |files: &String| [".pls", ".las"].iter().any(|ending| files.to_lowercase().ends_with(ending));
+        !self.captures.is_empty() && self.captures.iter().all(|rule| rule.files.as_ref().is_some_and(is_lidar))
+    }
+
     /// The station of the laser.
     #[must_use]
     pub fn source(&self) -> &Station {

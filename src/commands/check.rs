@@ -5,11 +5,13 @@
 //! ([`report`]), printed as text ([`text`]), as JSON or as rows ([`rows`]).
 
 pub mod coverage;
+mod flight;
 mod quality;
 pub mod report;
 mod rows;
 mod text;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -27,7 +29,7 @@ use periscope::pipeline::spec::{Definition, Reference, Spec, Step};
 use periscope::stages::Node;
 use periscope::store::Shelf;
 use periscope::store::finite::NotJson;
-use periscope::tables::{Calibration, Reject, Row};
+use periscope::tables::{Calibration, Echo, Reject, Row};
 
 use super::SOME_REJECTED;
 use super::output::{Format, Output, json, print, print_text};
@@ -96,6 +98,7 @@ pub fn check(args: &Check) -> Result<ExitCode> {
     let out = OutFolder::of(args.out.as_deref());
     let reference = or_declared(args.pipeline.as_ref(), std::slice::from_ref(&campaign));
     let spec = Spec::new(&Definition::load(&reference)?)?;
+    let look = if campaign.is_of_lidar() { look_at_flight } else { look };
     let report = look(&campaign, &survey, &spec, &out.path)?;
     match args.output.format {
         Format::Table => print_text(&text::text(&report))?,
@@ -140,8 +143,9 @@ fn missing_response(spec: &Spec, campaign: &Campaign, shelf: &Shelf) -> Result<O
 fn look(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path) -> Result<Report> {
     let shelf = Shelf::open(out)?;
     forget_changed(campaign, &shelf)?;
-    let (missing, rules) = (missing_response(spec, campaign, &shelf)?, rules(spec)?);
-    let calibrating = run(campaign, &shelf, &rules, Some("calibration"))?;
+    let missing = missing_response(spec, campaign, &shelf)?;
+    let pipeline = Spec::parse("check", PIPELINE, &rules(spec)?)?;
+    let calibrating = run(campaign, &shelf, &pipeline, Some("calibration"))?;
     let calibrated: Vec<Calibration> = table(&shelf, "calibration")?;
     let uncalibrated = coverage::without_template(survey, &calibrated);
     let mut measured = campaign.clone();
@@ -149,7 +153,7 @@ fn look(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path) -> Result
         matches: Match { sensor: Some(sensor.clone()), ..Match::default() },
         reason: "its reference channel is not calibrated".to_owned(),
     }));
-    let mut rejects = run(&measured, &shelf, &rules, None)?;
+    let mut rejects = run(&measured, &shelf, &pipeline, None)?;
     let calibrating: Vec<Reject> = calibrating.into_iter().filter(|reject| !rejects.contains(reject)).collect();
     rejects.extend(calibrating);
     let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
@@ -159,6 +163,21 @@ fn look(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path) -> Result
     coverage::fill(&mut report, campaign, survey, &measurements, &left_out, &uncalibrated);
     quality::fill(&mut report, &measurements, table(&shelf, "checks")?, &rejects);
     report.fix.extend(missing.map(|missing| missing.words()));
+    Ok(report)
+}
+
+/// The same for a lidar.
+fn look_at_flight(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path) -> Result<Report> {
+    let shelf = Shelf::open(out)?;
+    forget_changed(campaign, &shelf)?;
+    let decompose = spec.steps.iter().find(|step| step.node.kind() == "decompose");
+    let params = decompose.map_or(Ok(Vec::new()), |step| settings_of(step, "echoes"))?;
+    let rejects = run(campaign, &shelf, &Spec::parse("check", flight::PIPELINE, &params)?, None)?;
+    let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
+    let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
+    coverage::fill(&mut report, campaign, survey, &[], &left_out, &BTreeSet::new());
+    quality::fill(&mut report, &[], Vec::new(), &rejects);
+    flight::fill(&mut report, &table::<Echo>(&shelf, "echoes")?);
     Ok(report)
 }
 
@@ -181,21 +200,25 @@ fn rules(spec: &Spec) -> Result<Vec<String>> {
         Ok::<_, NotJson>(roles.as_array().is_some_and(|roles| roles.iter().any(|role| role == Role::Scene.name())))
     };
     for step in spec.steps.iter().filter(|step| step.node.kind() == "average") {
-        let Node::Operator(operator) = &step.node else { continue };
         if reads_scene(step)? {
-            let params = operator.params()?;
-            let given = params.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
-            return Ok(given.map(|(key, value)| format!("profiles.{key}={value}")).collect());
+            return settings_of(step, "profiles");
         }
     }
     Ok(Vec::new())
 }
 
-/// Runs the pipeline; returns what was rejected, each once.
-fn run(campaign: &Campaign, shelf: &Shelf, rules: &[String], until: Option<&str>) -> Result<Vec<Reject>> {
-    let spec = Spec::parse("check", PIPELINE, rules)?;
+/// Parameters of a stage as settings of the stage under another heading.
+fn settings_of(step: &Step, heading: &str) -> Result<Vec<String>> {
+    let Node::Operator(operator) = &step.node else { return Ok(Vec::new()) };
+    let params = operator.params()?;
+    let given = params.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+    Ok(given.map(|(key, value)| format!("{heading}.{key}={value}")).collect())
+}
+
+/// Runs a pipeline; returns what was rejected, each once.
+fn run(campaign: &Campaign, shelf: &Shelf, pipeline: &Spec, until: Option<&str>) -> Result<Vec<Reject>> {
     let campaigns = [campaign.clone()];
-    let mut plan = Plan::new(&spec, &campaigns, shelf, until)?;
+    let mut plan = Plan::new(pipeline, &campaigns, shelf, until)?;
     let settings = Settings::default();
     let memory_bytes = settings.memory_bytes.max(settings.least_memory());
     runner::run(&mut plan, &Settings { memory_bytes, ..settings }, &Progress::new(Style::auto()))?;

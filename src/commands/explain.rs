@@ -57,7 +57,8 @@ const ONSET_COLUMNS: [&str; 14] = [
 pub struct Explain {
     /// Result folder
     out: PathBuf,
-    /// Row: patch=3, distance=3,4 or onset=SENSOR,LIT,SEEN,RANK (SENSOR may be left out if there is one)
+    /// Row: patch=3, distance=3,4, onset=SENSOR,LIT,SEEN,RANK (SENSOR may be left out if there is one), or
+    /// echo=RUN,PULSE,ECHO
     #[arg(value_name = "ROW")]
     target: Target,
     /// Table, if several have such rows (default: the last one of the dataflow)

@@ -1,8 +1,9 @@
-//! Follows a patch, a distance or an onset back to the raw exposures.
+//! Follows a patch, a distance, an onset or an echo back to the raw exposures.
 //!
 //! - Patch: the onsets whose paths include it, from its solver's residuals, else from `labels`. Other onsets influence
 //!   it through their own patches, and are not listed. All profiles together contribute to a patch that `search` found.
 //! - Distance: the onsets of its own inversion (T2, or sums of third bounces).
+//! - Echo: the pulse of its lidar, in its file.
 //! - Onset: its profile, and the reciprocal one if `deconvolve` explained both together.
 
 use std::collections::BTreeSet;
@@ -93,7 +94,7 @@ impl Explainer<'_> {
         mut remarks: Vec<String>,
     ) -> Result<Explanation, HistoryError> {
         let ancestry = self.ancestry;
-        let Evidence { row, onsets, selection, condition } = gathered;
+        let Evidence { row, onsets, selection, condition, recording } = gathered;
         let is_onset = table.name == Onset::TABLE;
         let labels = if is_onset { self.last_made_from(table, Label::TABLE) } else { self.labels_of(table) };
         let detected = behind::at_or_above(ancestry, table, Onset::TABLE);
@@ -105,8 +106,12 @@ impl Explainer<'_> {
         let sensors = sensors::sensors(&exposures, &captures, table, &mut remarks)?;
         let captures = behind::captures(&exposures, &captures, from, &mut remarks)?;
         self.remark_on_tables(table, &mut remarks);
-        let queries =
+        let mut queries =
             self.queries(table, &condition, selection.as_ref(), labels.as_ref(), detected.as_ref(), is_joint)?;
+        if let Some((table, condition)) = recording {
+            let questions = Questions { shelf: self.shelf, ancestry };
+            queries.extend(questions.rows("its pulse", &table, &condition)?);
+        }
         let mut unique = BTreeSet::new();
         remarks.retain(|remark| unique.insert(remark.clone()));
         Ok(Explanation {

@@ -12,10 +12,10 @@ use super::behind::OnsetBehind;
 use super::sql::{Selection, quoted};
 use super::target::Target;
 use super::values;
-use crate::campaign::suggest;
+use crate::campaign::{count, suggest};
 use crate::priors::campaign_fields::{ByCampaign, StationPositions};
 use crate::store::{Shelf, scan};
-use crate::tables::{Distance, Label, Onset, Patch, Residual, Row};
+use crate::tables::{Distance, Echo, Label, Onset, Patch, Pulse, Residual, Row};
 use crate::units::PatchId;
 
 /// Most numbers in a message.
@@ -30,6 +30,8 @@ pub struct Evidence {
     pub selection: Option<Selection>,
     /// The SQL condition that selects the row in its own table.
     pub condition: String,
+    /// The recording that it is of, where that has a table of its own: the table, and a condition in SQL.
+    pub recording: Option<(Table, String)>,
 }
 
 /// Finds rows in one result folder.
@@ -88,6 +90,7 @@ impl Explainer<'_> {
             Target::Patch(patch) => self.patch(table, *patch, remarks),
             Target::Distance(a, b) => self.distance(table, [*a, *b], remarks),
             Target::Onset { .. } => self.onset(table, target),
+            Target::Echo { run, pulse, echo } => self.echo(table, run, (*pulse, *echo), remarks),
         }
     }
 
@@ -143,7 +146,7 @@ impl Explainer<'_> {
         } else {
             (Vec::new(), None)
         };
-        Ok(Evidence { row: row.clone(), onsets, selection, condition: format!("patch = {patch}") })
+        Ok(Evidence { row: row.clone(), onsets, selection, condition: format!("patch = {patch}"), recording: None })
     }
 
     /// The table that the stage streams, if it has the same row.
@@ -213,7 +216,7 @@ impl Explainer<'_> {
             onsets = rows.iter().map(OnsetBehind::of_label).collect();
             selection = Some(Selection { table: labels, condition });
         }
-        Ok(Evidence { row, onsets, selection, condition: format!("a = {a} AND b = {b}") })
+        Ok(Evidence { row, onsets, selection, condition: format!("a = {a} AND b = {b}"), recording: None })
     }
 
     fn onset(&self, table: &Table, target: &Target) -> Result<Evidence, HistoryError> {
@@ -259,7 +262,42 @@ impl Explainer<'_> {
             }
         }
         let selection = Some(Selection { table: table.clone(), condition: condition.clone() });
-        Ok(Evidence { row, onsets: behind, selection, condition })
+        Ok(Evidence { row, onsets: behind, selection, condition, recording: None })
+    }
+
+    fn echo(
+        &self,
+        table: &Table,
+        run: &str,
+        (pulse, number): (i64, i32),
+        remarks: &mut Vec<String>,
+    ) -> Result<Evidence, HistoryError> {
+        let mut of_pulse = self.rows(table, |row: &Echo| &*row.run == run && row.pulse == pulse)?;
+        let Some(at) = of_pulse.iter().position(|(row, _)| row.echo == number) else {
+            let numbers: BTreeSet<i32> = of_pulse.iter().map(|(row, _)| row.echo).collect();
+            if !numbers.is_empty() {
+                let what = format!("echo {number} of pulse {pulse}");
+                return Err(self.unknown(table, &what, &format!("that pulse has {}", list_text(&numbers))));
+            }
+            let runs: BTreeSet<String> =
+                self.rows(table, |_: &Echo| true)?.into_iter().map(|(row, _)| row.run.to_string()).collect();
+            let (what, hint) = if runs.contains(run) {
+                (format!("echo of pulse {pulse} of {run}"), "pulses without echoes have no rows".to_owned())
+            } else {
+                (format!("run {run}"), suggest::hint(run, runs.iter().map(String::as_str)))
+            };
+            return Err(self.unknown(table, &what, &hint));
+        };
+        let (echo, row) = of_pulse.swap_remove(at);
+        let of_file = format!("campaign = {} AND run = {} AND pulse = {pulse}", quoted(&echo.campaign), quoted(run));
+        remarks.push(format!(
+            "recorded by channel {} in {run}, pulse {pulse} of those with returning light; {}",
+            echo.channel,
+            count(echo.echoes as usize, "echo", "echoes")
+        ));
+        let recording = self.ancestry.nearest(table, Pulse::TABLE).map(|pulses| (pulses, of_file.clone()));
+        let condition = format!("{of_file} AND echo = {number}");
+        Ok(Evidence { row, onsets: Vec::new(), selection: None, condition, recording })
     }
 
     /// The last table of this name in the dataflow that derives from a table.

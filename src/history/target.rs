@@ -1,4 +1,4 @@
-//! Targets of `explain`: `patch=3`, `distance=3,4`, `onset=s1,3,4,2`.
+//! Targets of `explain`: `patch=3`, `distance=3,4`, `onset=s1,3,4,2`, `echo=raw/a.pls,17,1`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,9 @@ use std::str::FromStr;
 use crate::campaign::suggest;
 use crate::units::PatchId;
 
-const FORMS: &str = "write patch=3, distance=3,4 or onset=SENSOR,LIT,SEEN,RANK such as onset=s1,3,4,2";
+const FORMS: &str = "write patch=3, distance=3,4, onset=SENSOR,LIT,SEEN,RANK such as onset=s1,3,4,2, or echo=RUN,PULSE,ECHO \
+     such as echo=raw/strip1.pls,17,1";
+const KINDS: [&str; 4] = ["patch", "distance", "onset", "echo"];
 
 /// A row, by its key.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,6 +30,15 @@ pub enum Target {
         /// Rank in its profile.
         rank: i32,
     },
+    /// An echo of a lidar.
+    Echo {
+        /// Run of pulses: its raw file.
+        run: String,
+        /// Pulse of the run.
+        pulse: i64,
+        /// Number among the echoes of the pulse.
+        echo: i32,
+    },
 }
 
 impl Target {
@@ -38,6 +49,7 @@ impl Target {
             Self::Patch(_) => "patches",
             Self::Distance(..) => "distances",
             Self::Onset { .. } => "onsets",
+            Self::Echo { .. } => "echoes",
         }
     }
 }
@@ -64,12 +76,13 @@ impl FromStr for Target {
                 seen: number(seen)?,
                 rank: number(rank)?,
             }),
-            ("patch" | "distance" | "onset", _) => {
-                Err(format!("`{text}` has {} values, which is not what names a {}; {FORMS}", fields.len(), what.trim()))
+            ("echo", [run, pulse, echo]) => {
+                Ok(Self::Echo { run: (*run).to_owned(), pulse: i64::from(number(pulse)?), echo: number(echo)? })
             }
-            (what, _) => {
-                Err(format!("{}; {FORMS}", suggest::unknown("kind of row", what, &["patch", "distance", "onset"])))
+            (what, _) if KINDS.contains(&what) => {
+                Err(format!("`{text}` has {} values, which is not what names a {what}; {FORMS}", fields.len()))
             }
+            (what, _) => Err(format!("{}; {FORMS}", suggest::unknown("kind of row", what, &KINDS))),
         }
     }
 }
@@ -84,6 +97,7 @@ impl fmt::Display for Target {
                 sensor.iter().try_for_each(|sensor| write!(f, ", sensor {sensor}"))?;
                 campaign.iter().try_for_each(|campaign| write!(f, ", campaign {campaign}"))
             }
+            Self::Echo { run, pulse, echo } => write!(f, "echo {echo} of pulse {pulse} of {run}"),
         }
     }
 }
@@ -100,6 +114,8 @@ mod tests {
             Ok(Target::Onset { campaign, sensor, lit, seen, rank }) => (campaign, sensor, [lit, seen, rank]),
             other => panic!("{other:?}"),
         };
+        let echo = Target::Echo { run: "raw/a.pls".to_owned(), pulse: 17, echo: 1 };
+        assert_eq!("echo=raw/a.pls,17,1".parse(), Ok(echo));
         assert_eq!(onset("onset=3,4,2"), (None, None, [3, 4, 2]));
         assert_eq!(onset("onset=s1, 3,4,2"), (None, Some("s1".to_owned()), [3, 4, 2]));
         assert_eq!(onset("onset=day2,s1,3,4,2"), (Some("day2".to_owned()), Some("s1".to_owned()), [3, 4, 2]));
@@ -113,6 +129,7 @@ mod tests {
             ("patch=three", "`three` in `patch=three` is not a whole number"),
             ("distance=3", "1 values"),
             ("onset=1,2", "onset=s1,3,4,2"),
+            ("echo=17", "echo=raw/strip1.pls,17,1"),
         ] {
             let error = text.parse::<Target>().unwrap_err();
             assert!(error.contains(told), "{error}");

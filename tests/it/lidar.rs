@@ -209,6 +209,72 @@ fn check_las(file: &[u8], echoes: &[Echo]) {
     }
 }
 
+/// A campaign of several strips: what a check says of it, how its shards are planned and computed one by one, and what
+/// is told of an echo.
+#[test]
+fn a_flight_is_checked_computed_in_shards_and_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let strips: Vec<_> = (0..3).map(|strip| flight(40, 50 + strip)).collect();
+    let names = ["a", "b", "c"];
+    let files: Vec<(String, Vec<u8>)> = strips
+        .iter()
+        .zip(names)
+        .flat_map(|(strip, name)| {
+            let [pls, wvs] =
+                files::pulse_waves(&strip.iter().map(|(shot, _)| shot).collect::<Vec<_>>(), Some(ANCHOR_UNITS));
+            [(format!("{name}.pls"), pls), (format!("{name}.wvs"), wvs)]
+        })
+        .collect();
+    let files: Vec<(&str, &[u8])> = files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice())).collect();
+    campaign(folder.path(), &files);
+    let toml = folder.path().join("campaign/campaign.toml");
+    let text = fs::read_to_string(&toml).unwrap();
+    let text = text.replace("[campaign]", "[campaign]\npart_bytes = 1").replace("raw/*.pls", "raw/{run}.pls");
+    fs::write(&toml, text).unwrap();
+    let echoes = run(folder.path(), "whole", &[]);
+
+    let json = |args: &[&str]| -> serde_json::Value {
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_periscope")).args(args).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap_or_default()
+    };
+    let report = json(&["check", "--campaign", "campaign", "--format", "json"]);
+    let sensor = &report["sensors"][0];
+    assert_eq!(sensor["echoes"], echoes.len());
+    assert_eq!(sensor["pulses_with_echoes"], 90, "a fourth of the pulses has none");
+    assert_eq!((report["fix"].as_array().unwrap().len(), report["captures"][0]["files"].as_u64()), (0, Some(3)));
+
+    let plan = ["plan", "lidar", "--campaign", "campaign", "--out", "cut", "--shards", "3", "--format", "json"];
+    let shards = json(&plan);
+    let keys: Vec<&str> = shards["shards"].as_array().unwrap().iter().map(|row| row["key"].as_str().unwrap()).collect();
+    assert_eq!(keys.len(), 3, "{shards:#}");
+    for key in keys {
+        periscope(folder.path(), &["run-shard", key, "--out", "cut"]);
+    }
+    assert_eq!(run(folder.path(), "cut", &[]), echoes);
+
+    let echo = echoes.iter().find(|echo| echo.pulse == 5 && echo.run.contains('b')).unwrap();
+    let explained = json(&["explain", "cut", &format!("echo={},5,1", echo.run), "--format", "json"]);
+    assert_eq!(
+        (explained["row"]["time_ps"].as_f64(), &explained["table_kind"]),
+        (Some(echo.time_ps), &"echoes".into())
+    );
+    let queries = explained["queries"].as_array().unwrap();
+    assert!(
+        queries
+            .iter()
+            .any(|query| query["about"] == "its pulse" && query["sql"].as_str().unwrap().contains("pulse = 5"))
+    );
+    let unknown = Command::new(env!("CARGO_BIN_EXE_periscope"))
+        .args(["explain", "cut", "echo=raw/d.pls,5,1"])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&unknown.stderr).into_owned();
+    assert!(text.contains("no run raw/d.pls") && text.contains("did you mean"), "{text}");
+}
+
 /// Where a file does not say when its pulses left, times are those of the record.
 #[test]
 fn without_the_time_of_the_outgoing_pulse_times_are_those_of_the_record() {

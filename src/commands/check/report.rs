@@ -63,6 +63,14 @@ pub struct Sensor {
     pub snr_median: Option<f64>,
     /// The five faintest captures of the scene.
     pub faintest: Vec<(Pair, f64)>,
+    /// Of a lidar, its echoes.
+    pub echoes: Option<usize>,
+    /// Pulses of a lidar that have some.
+    pub pulses_with_echoes: Option<usize>,
+    /// Median standard deviation of the ranges of echoes.
+    pub range_sd_m: Option<f64>,
+    /// Share of the echoes that touch the converter's rail.
+    pub clipped_echoes: Option<f64>,
     /// Verdicts of the instrument check.
     pub checks: Vec<CheckOfSensor>,
 }

@@ -30,6 +30,15 @@ pub fn rows(report: &Report) -> Rows {
         for (what, value) in [("clipped_share", sensor.clipped_share), ("snr_median", sensor.snr_median)] {
             add(json!(sensor.name), what, [json!(value), Value::Null, Value::Null]);
         }
+        let of_lidar = [
+            ("echoes", json!(sensor.echoes)),
+            ("pulses_with_echoes", json!(sensor.pulses_with_echoes)),
+            ("range_sd_m", json!(sensor.range_sd_m)),
+            ("clipped_echoes", json!(sensor.clipped_echoes)),
+        ];
+        for (what, value) in of_lidar.into_iter().filter(|(_, value)| !value.is_null()) {
+            add(json!(sensor.name), what, [value, Value::Null, Value::Null]);
+        }
     }
     for (sensor, check) in
         report.sensors.iter().flat_map(|sensor| sensor.checks.iter().map(move |check| (sensor, check)))

@@ -75,7 +75,23 @@ fn sensor(entry: &Sensor) -> Vec<String> {
             entry.faintest.iter().map(|(Pair { lit, seen }, snr)| format!("({lit}, {seen}) {snr:.1}")).collect();
         lines.push(format!("  {:24} {median:.1} in the median; faintest {}", "signal to noise", faintest.join(", ")));
     }
+    lines.extend(echoes(entry));
     checks(entry, &mut lines);
+    lines
+}
+
+/// Of a lidar.
+fn echoes(entry: &Sensor) -> Vec<String> {
+    let mut lines = Vec::new();
+    if let (Some(echoes), Some(pulses)) = (entry.echoes, entry.pulses_with_echoes) {
+        lines.push(format!("  {:24} {echoes} of {}", "echoes", count(pulses, "pulse", "pulses")));
+    }
+    if let Some(sd_m) = entry.range_sd_m {
+        lines.push(format!("  {:24} {} m in the median", "sd of ranges", short(sd_m)));
+    }
+    if let Some(share) = entry.clipped_echoes {
+        lines.push(format!("  {:24} {:.2} % of echoes", "clipped", 100.0 * share));
+    }
     lines
 }
 

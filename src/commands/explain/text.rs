@@ -55,6 +55,12 @@ fn point(explanation: &Explanation) -> String {
             let bounces = count(row["bounces"].as_u64().unwrap_or(0), "bounce", "bounces");
             facts.push(format!("from {} of up to {bounces}", onset_count(row)));
         }
+        "echoes" => {
+            facts.push(format!("({}, {}, {}) m", fixed("x_m", 3), fixed("y_m", 3), fixed("z_m", 3)));
+            facts.push(format!("range {} m, sd {} m", fixed("range_m", 4), fixed("range_sd_m", 4)));
+            facts.push(format!("{} ps, sd {} ps", fixed("time_ps", 1), fixed("time_sd_ps", 1)));
+            facts.push(format!("height {}, width {} ps", fixed("height", 1), fixed("width_ps", 1)));
+        }
         _ => {
             facts.push(format!("{} ps", fixed("time_ps", 2)));
             facts.push(format!("sd {} ps", fixed("time_sd_ps", 3)));

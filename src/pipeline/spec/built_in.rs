@@ -49,18 +49,12 @@ const DECLARED: [(&str, &str, fn(&[Campaign]) -> bool); 4] = [
         campaigns.iter().any(|campaign| campaign.patches.values().any(|patch| patch.through.is_some()))
     }),
     ("lidar", "files of a lidar: .pls or .las in every [[captures]] rule", |campaigns| {
-        !campaigns.is_empty() && campaigns.iter().all(is_flight)
+        !campaigns.is_empty() && campaigns.iter().all(Campaign::is_of_lidar)
     }),
     ("locate", "a relay wall: sensors that count photons, and a `position_m` for each visible patch", |campaigns| {
         !campaigns.is_empty() && campaigns.iter().all(is_relay_wall)
     }),
 ];
-
-/// Whether all files of a campaign are of a lidar.
-fn is_flight(campaign: &Campaign) -> bool {
-    let is_lidar = |files: &String| [".pls", ".las"].iter().any(|ending| files.to_lowercase().ends_with(ending));
-    !campaign.captures.is_empty() && campaign.captures.iter().all(|rule| rule.files.as_ref().is_some_and(is_lidar))
-}
 
 /// Points of the wall at the least for which histograms are fitted together. With fewer, arrivals have few enough
 /// assignments to be labelled one by one.
