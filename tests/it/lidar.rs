@@ -247,7 +247,7 @@ fn a_flight_is_checked_computed_in_shards_and_explained() {
 
     let plan = ["plan", "lidar", "--campaign", "campaign", "--out", "cut", "--shards", "3", "--format", "json"];
     let shards = json(&plan);
-    let keys: Vec<&str> = shards["shards"].as_array().unwrap().iter().map(|row| row["key"].as_str().unwrap()).collect();
+    let keys: Vec<&str> = shards.as_array().unwrap().iter().map(|row| row["key"].as_str().unwrap()).collect();
     assert_eq!(keys.len(), 3, "{shards:#}");
     for key in keys {
         periscope(folder.path(), &["run-shard", key, "--out", "cut"]);
