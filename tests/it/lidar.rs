@@ -215,7 +215,7 @@ fn check_las(file: &[u8], echoes: &[Echo]) {
 fn a_flight_is_checked_computed_in_shards_and_explained() {
     let folder = tempfile::tempdir().unwrap();
     let strips: Vec<_> = (0..3).map(|strip| flight(40, 50 + strip)).collect();
-    let names = ["a", "b", "c"];
+    let names = ["1", "2", "3"];
     let files: Vec<(String, Vec<u8>)> = strips
         .iter()
         .zip(names)
@@ -229,7 +229,10 @@ fn a_flight_is_checked_computed_in_shards_and_explained() {
     campaign(folder.path(), &files);
     let toml = folder.path().join("campaign/campaign.toml");
     let text = fs::read_to_string(&toml).unwrap();
-    let text = text.replace("[campaign]", "[campaign]\npart_bytes = 1").replace("raw/*.pls", "raw/{run}.pls");
+    let text = text
+        .replace("[campaign]", "[campaign]\npart_bytes = 1")
+        .replace("raw/*.pls", "raw/{lit}.pls")
+        .replace("lit = 1\n", "");
     fs::write(&toml, text).unwrap();
     let echoes = run(folder.path(), "whole", &[]);
 
@@ -254,7 +257,7 @@ fn a_flight_is_checked_computed_in_shards_and_explained() {
     }
     assert_eq!(run(folder.path(), "cut", &[]), echoes);
 
-    let echo = echoes.iter().find(|echo| echo.pulse == 5 && echo.run.contains('b')).unwrap();
+    let echo = echoes.iter().find(|echo| echo.pulse == 5 && echo.run.contains('2')).unwrap();
     let explained = json(&["explain", "cut", &format!("echo={},5,1", echo.run), "--format", "json"]);
     assert_eq!(
         (explained["row"]["time_ps"].as_f64(), &explained["table_kind"]),
@@ -267,12 +270,12 @@ fn a_flight_is_checked_computed_in_shards_and_explained() {
             .any(|query| query["about"] == "its pulse" && query["sql"].as_str().unwrap().contains("pulse = 5"))
     );
     let unknown = Command::new(env!("CARGO_BIN_EXE_periscope"))
-        .args(["explain", "cut", "echo=raw/d.pls,5,1"])
+        .args(["explain", "cut", "echo=raw/4.pls,5,1"])
         .current_dir(folder.path())
         .output()
         .unwrap();
     let text = String::from_utf8_lossy(&unknown.stderr).into_owned();
-    assert!(text.contains("no run raw/d.pls") && text.contains("did you mean"), "{text}");
+    assert!(text.contains("no run raw/4.pls") && text.contains("did you mean"), "{text}");
 }
 
 /// Where a file does not say when its pulses left, times are those of the record.
