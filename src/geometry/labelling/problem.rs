@@ -236,12 +236,14 @@ impl Verdict {
 }
 
 /// What an arrival is of an onset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Origin {
     /// Place of the onset in its profile.
     pub onset: usize,
     /// 0 for all of it, 1 and 2 for the pulses that it is read as.
     pub part: i32,
+    /// Of a part, the covariance of its time with that of the other one, ps^2.
+    pub with_other_ps2: f64,
 }
 
 /// An onset, or a part of it, in the reading that is less likely.

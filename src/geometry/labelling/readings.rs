@@ -291,12 +291,18 @@ impl Reading {
 
     fn add(&mut self, onset: usize, part: i32, arrival: Arrival) {
         self.arrivals.push(arrival);
-        self.origins.push(Origin { onset, part });
+        self.origins.push(Origin { onset, part, with_other_ps2: 0.0 });
+    }
+
+    /// Both pulses of an onset, and the covariance of their times.
+    fn add_parts(&mut self, onset: usize, parts: [Arrival; 2], with_other_ps2: f64) {
+        self.arrivals.extend(parts);
+        self.origins.extend([1, 2].map(|part| Origin { onset, part, with_other_ps2 }));
     }
 
     fn lose(&mut self, onset: usize, part: i32, arrival: &Arrival, verdict: Verdict) {
         let Arrival { time_ps, sd_ps, .. } = *arrival;
-        self.losers.push(Loser { origin: Origin { onset, part }, time_ps, sd_ps, verdict });
+        self.losers.push(Loser { origin: Origin { onset, part, with_other_ps2: 0.0 }, time_ps, sd_ps, verdict });
     }
 }
 
@@ -316,6 +322,8 @@ struct Item {
     /// Choices of the whole come first, so many of them.
     wholes: usize,
     parts: Option<[Arrival; 2]>,
+    /// Covariance of the times of the parts, ps^2.
+    with_other_ps2: f64,
 }
 
 impl Context<'_> {
@@ -377,8 +385,10 @@ impl Context<'_> {
         );
         let wholes = choices.len();
         let parts = self.parts(whole, 1.0);
+        let mut with_other_ps2 = 0.0;
         if let (Some(pair), Some(parts)) = (whole.pair, parts) {
             let covariance_ps2 = pair.covariance_ps2(self.widths.variance_ps2(2));
+            with_other_ps2 = covariance_ps2[1];
             let factor = pair.factor(whole) * clutter_per_ps;
             let [first, second] = parts.map(|part| edges(&[part.time()], expected, &[clutter_per_ps]).remove(0));
             choices.push(Choice { paths: [None, None], weight: factor });
@@ -394,7 +404,7 @@ impl Context<'_> {
                 }
             }
         }
-        Item { choices, wholes, parts }
+        Item { choices, wholes, parts, with_other_ps2 }
     }
 }
 
@@ -426,9 +436,8 @@ impl Reading {
                 self.lose(onset, n as i32 + 1, part, verdict(paths[n], part, of_pair));
             }
         } else {
-            for (n, part) in parts.into_iter().enumerate() {
-                self.add(onset, n as i32 + 1, Arrival { certainty: of_pair, ..part });
-            }
+            let parts = parts.map(|part| Arrival { certainty: of_pair, ..part });
+            self.add_parts(onset, parts, item.with_other_ps2);
             if of_whole >= KEPT {
                 self.lose(onset, 0, whole, verdict(best(0..item.wholes)[0], whole, of_whole));
             }
@@ -453,8 +462,7 @@ fn blind(profile: &Profile, widths: &Widths) -> Reading {
         let open = || Verdict::open();
         if of_pair > 0.5 {
             first.sd_ps = first.sd_ps.hypot((1.0 - of_pair).sqrt() * moved_ps);
-            reading.add(onset, 1, first);
-            reading.add(onset, 2, second);
+            reading.add_parts(onset, [first, second], covariance_ps2[1]);
             if 1.0 - of_pair >= KEPT {
                 reading.lose(onset, 0, whole, Verdict { probability: 1.0 - of_pair, ..open() });
             }

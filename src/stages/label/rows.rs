@@ -1,7 +1,7 @@
 //! The rows of a solution: labels, hypotheses, and what was rejected.
 
 use crate::geometry::hidden::{Hidden, Surface};
-use crate::geometry::labelling::{self, Loser, Medium, SensorProfiles, Solution, Verdict};
+use crate::geometry::labelling::{self, Loser, Medium, Origin, SensorProfiles, Solution, Verdict};
 use crate::priors::covariances;
 use crate::stages::stage::Rejection;
 use crate::tables::{Hypothesis, Label, Onset};
@@ -17,14 +17,14 @@ pub(super) fn labels(onsets: &[Onset], sensors: &[SensorProfiles], solution: Sol
         first += of_profile.len();
         let mut of_onsets = vec![Vec::new(); of_profile.len()];
         for ((origin, arrival), verdicts) in arrivals.into_iter().zip(verdicts) {
-            let place = Place { part: origin.part, time_ps: arrival.time_ps, sd_ps: arrival.sd_ps };
+            let place = Place { origin, time_ps: arrival.time_ps, sd_ps: arrival.sd_ps };
             let of_arrival = (0..).zip(verdicts).map(|(alternative, verdict)| (place, alternative, verdict));
             of_onsets[origin.onset].extend(of_arrival);
         }
         for Loser { origin, time_ps, sd_ps, verdict } in losers {
             let of_onset = &mut of_onsets[origin.onset];
             let alternative = of_onset.iter().map(|(_, alternative, _)| alternative + 1).max().unwrap_or(0);
-            of_onset.push((Place { part: origin.part, time_ps, sd_ps }, alternative, verdict));
+            of_onset.push((Place { origin, time_ps, sd_ps }, alternative, verdict));
         }
         for (onset, rows) in of_profile.iter().zip(of_onsets) {
             let row = |(place, alternative, verdict)| label(onset, place, alternative, verdict, medium);
@@ -37,12 +37,13 @@ pub(super) fn labels(onsets: &[Onset], sensors: &[SensorProfiles], solution: Sol
 /// An onset or a part of it, and when its light comes.
 #[derive(Clone, Copy)]
 struct Place {
-    part: i32,
+    origin: Origin,
     time_ps: f64,
     sd_ps: f64,
 }
 
 fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium: Medium) -> Label {
+    let part = place.origin.part;
     Label {
         campaign: onset.campaign.clone(),
         sensor: onset.sensor.clone(),
@@ -51,14 +52,14 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         range: onset.range.clone(),
         acquired_at: onset.acquired_at.clone(),
         rank: onset.rank,
-        part: place.part,
+        part,
         time_ps: place.time_ps + medium.turns_ps(verdict.turns),
         time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
-        covariance: if alternative == 0 { covariance_ps2(onset, place.part) } else { Vec::new() },
-        width_ps: (place.part == 0).then_some(onset.width_ps),
-        width_sd_ps: onset.width_sd_ps.filter(|_| place.part == 0),
-        width_kurtosis: onset.width_kurtosis.filter(|_| place.part == 0),
-        snr: snr(onset, place.part),
+        covariance: if alternative == 0 { covariance_ps2(onset, place.origin) } else { Vec::new() },
+        width_ps: (part == 0).then_some(onset.width_ps),
+        width_sd_ps: onset.width_sd_ps.filter(|_| part == 0),
+        width_kurtosis: onset.width_kurtosis.filter(|_| part == 0),
+        snr: snr(onset, part),
         turns: verdict.turns,
         bounces: verdict.path.as_deref().map_or(0, crate::path::bounces),
         path: verdict.path,
@@ -68,15 +69,11 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
     }
 }
 
-/// Of an onset or a part of it with all onsets of its profile; where that of a part is not known, that of its onset.
-fn covariance_ps2(onset: &Onset, part: i32) -> Vec<f64> {
+/// Of an onset or a part of it with all onsets of its profile; that of a part with others is its onset's.
+fn covariance_ps2(onset: &Onset, origin: Origin) -> Vec<f64> {
     let mut all = covariances::of_onset_ps2(onset);
-    let between_parts = |onset: &Onset| {
-        let own_ps2 = onset.pair_correlation? * onset.pair_first_sd_ps? * onset.pair_second_sd_ps?;
-        Some(own_ps2 + onset.jitter_ps.powi(2))
-    };
-    if let (1.., Some(own), Some(between_ps2)) = (part, all.get_mut(onset.rank as usize - 1), between_parts(onset)) {
-        *own = between_ps2;
+    if let (1.., Some(own)) = (origin.part, all.get_mut(onset.rank as usize - 1)) {
+        *own = origin.with_other_ps2;
     }
     all
 }
