@@ -27,7 +27,7 @@ pub enum Word {
     Unchecked,
     /// The pipeline asks for no positions.
     NotAsked,
-    /// The data show nothing, or do not tell.
+    /// The data show nothing, or do not decide.
     NothingFound,
     /// The model does not explain the data.
     NotExplained,
@@ -111,7 +111,7 @@ impl Verdict {
     }
 }
 
-/// What is odd about the last run.
+/// What is wrong with the last run.
 fn ending(provenance: &Provenance) -> Option<(Word, String)> {
     let run = provenance.last_run.as_ref()?;
     match run.ending {

@@ -9,7 +9,7 @@ use crate::report::verdict::{Goodness, Word};
 
 /// Reasons that are listed at most.
 const REASONS: usize = 6;
-/// Smaller and larger chances are not told apart.
+/// Smaller and larger chances are not distinguished.
 const LEAST_CHANCE: f64 = 1e-6;
 const MOST_CHANCE: f64 = 0.99;
 
