@@ -95,6 +95,8 @@ impl Verdict {
             remarks.extend(of_waveforms(arrivals));
         }
         match scene {
+            // A run that did not end may have had one.
+            None if !provenance.is_done() => {}
             None => remarks.push((Word::NotAsked, "no stage of this pipeline solves for positions".to_owned())),
             Some(scene) => {
                 remarks.extend(of_scene(scene, arrivals.iter().filter(|onset| onset.path.is_some()).count()));
@@ -118,7 +120,8 @@ fn ending(provenance: &Provenance) -> Option<(Word, String)> {
         Some(Ending::Done) => None,
         Some(Ending::Failed) => {
             let why = run.failure.as_deref().unwrap_or("its record does not say why");
-            Some((Word::Failed, format!("{why}; what stands below is of earlier work")))
+            let rest = if provenance.tables.is_empty() { "" } else { "; what stands below is of earlier work" };
+            Some((Word::Failed, format!("{why}{rest}")))
         }
         Some(Ending::Interrupted) => {
             Some((Word::Unfinished, "the last run was interrupted; the same command goes on from there".to_owned()))
