@@ -115,7 +115,7 @@ def write_campaign(
     Raises
     ------
     CampaignError
-        If the folder is in use, or a value is none that campaign.toml may have. In the second case the files stay: mend
+        If the folder is in use, or a value is none that campaign.toml may have. In the second case the files stay: fix
         campaign.toml, or remove the folder.
     ValueError
         If the arrays contradict one another, or a value is not finite.

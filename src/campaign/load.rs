@@ -331,7 +331,7 @@ sensor = "s1", lit ~ sensor = "s3", lit ~ [[exclude]] number 1 ~ add [sensors.s3
     }
 
     #[test]
-    fn a_folder_without_campaign_file_is_told() {
+    fn a_folder_without_campaign_file_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         let error = Campaign::load(folder.path()).unwrap_err().to_string();
         assert!(error.contains("campaign.toml: cannot be read"), "{error}");

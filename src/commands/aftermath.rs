@@ -13,6 +13,7 @@ use serde_json::json;
 
 use super::SOME_REJECTED;
 use super::output::{Format, Rows, say};
+pub use losses::print_left_out as tell_left_out;
 pub use losses::print_rejects as tell_rejects;
 
 /// Prints the tables to standard output, a row each, then warnings. Returns whether something was left out or rejected,

@@ -20,10 +20,10 @@ use clap::Args;
 use periscope::campaign::keys::{Exclude, Match};
 use periscope::campaign::left_out::left_out;
 use periscope::campaign::{Campaign, Manifest, Role, Survey};
-use periscope::pipeline::plan::{Plan, PlanError};
+use periscope::pipeline::plan::Plan;
 use periscope::pipeline::progress::{Progress, Style};
 use periscope::pipeline::rejects;
-use periscope::pipeline::responses::MissingResponse;
+use periscope::pipeline::responses::{self, MissingResponse};
 use periscope::pipeline::run::{self as runner, Settings};
 use periscope::pipeline::spec::{Definition, Reference, Spec, Step};
 use periscope::stages::Node;
@@ -132,11 +132,8 @@ impl Drop for OutFolder {
 
 /// The response that the pipeline needs and no file shows: `run` would refuse the campaign.
 fn missing_response(spec: &Spec, campaign: &Campaign, shelf: &Shelf) -> Result<Option<MissingResponse>> {
-    match Plan::new(spec, std::slice::from_ref(campaign), shelf, None) {
-        Ok(_) => Ok(None),
-        Err(PlanError::Response(missing)) => Ok(Some(missing)),
-        Err(error) => Err(error.into()),
-    }
+    let plan = Plan::new(spec, std::slice::from_ref(campaign), shelf, None)?;
+    Ok(responses::require(&plan).err())
 }
 
 /// Surveys, measures, and gathers the results. `spec` is the pipeline that will run.

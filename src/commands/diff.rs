@@ -33,7 +33,7 @@ const EXIT_CODES: &str = "Exit codes: 0 the same; 3 different; 1 failed; 2 wrong
 /// The fields of the JSON object.
 const JSON_HELP: &str = "\
 Rows as CSV: a row per table, and per column of it that differs.
-Keys of the JSON object (differences are B - A; null: there is none to tell)
+Keys of the JSON object (differences are B - A; null: there is none)
   a, b, same             the folders, and whether all their tables are the same
   tables                 those of both, in the order of the dataflow: table, rows, causes, and
                          verdict: same, same_rows (made otherwise), differs, not_compared

@@ -9,6 +9,7 @@ use anyhow::Result;
 use clap::Args;
 use periscope::pipeline::plan::{Action, Plan};
 use periscope::pipeline::progress::{Progress, Style};
+use periscope::pipeline::responses;
 use periscope::pipeline::run::Settings;
 use periscope::pipeline::shards::{self, Cut, Dealt, Job, Shard, Work};
 use periscope::pipeline::spec::{Definition, Reference, Spec};
@@ -16,6 +17,7 @@ use periscope::store::Shelf;
 use periscope::store::runs::RunRecord;
 use serde_json::json;
 
+use super::aftermath;
 use super::interrupt::cancel_on_signals;
 use super::output::{self, Format, Output, Rows, note, print};
 use super::run::{campaigns, or_declared, reference, results};
@@ -73,7 +75,8 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
     }
     let shelf = Shelf::imagine(&out);
     let plan = Plan::new(&spec, &campaigns, &shelf, args.until.as_deref())?;
-    tell_warnings(&plan);
+    aftermath::tell_left_out(&plan);
+    responses::require(&plan)?;
     let mut rows = Rows::new(&["action", "table", "stage", "why"]);
     for step in 0..spec.steps.len() {
         let decision = plan.decision(step)?;
@@ -89,12 +92,6 @@ pub fn plan(args: &PlanArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn tell_warnings(plan: &Plan<'_>) {
-    for left_out in plan.left_out() {
-        note!("warning: {left_out}");
-    }
-}
-
 /// Writes shards into the result folder, and lists them.
 fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> Result<ExitCode> {
     // Absolute paths: a worker may start in another folder.
@@ -106,7 +103,8 @@ fn deal(args: &PlanArgs, spec: &Spec, work: Work, out: &Path, count: usize) -> R
     // As long as this record has no end, `tables --prune` keeps the results of shards.
     shelf.write_run(&run)?;
     let mut plan = Plan::new(spec, &campaigns, &shelf, args.until.as_deref())?;
-    tell_warnings(&plan);
+    aftermath::tell_left_out(&plan);
+    responses::require(&plan)?;
     let settings = Settings::default();
     let settings = Settings { memory_bytes: settings.memory_bytes.max(settings.least_memory()), ..settings };
     cancel_on_signals(&settings.cancel)?;

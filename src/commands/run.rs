@@ -178,9 +178,7 @@ impl Job<'_> {
             shards.join(self.shelf, &self.settings, &progress, &mut |warning| note!("warning: {warning}"))?;
         }
         let mut plan = Plan::new(self.spec, self.campaigns, self.shelf, self.until)?;
-        for left_out in plan.left_out() {
-            note!("warning: {left_out}");
-        }
+        aftermath::tell_left_out(&plan);
         if let Some(shards) = self.shards {
             shards.check(&plan)?;
         }

@@ -112,7 +112,7 @@ mod tests {
 
     /// The same scan of 2 x 2 points and 3 bins, stored by MATLAB and by a program that keeps the order of its axes.
     #[test]
-    fn equal_sides_tell_where_the_time_stands() {
+    fn equal_sides_show_which_axis_is_time() {
         let counts = |point: usize, bin: usize| (10 * point + bin) as f64;
         let by_time: Vec<f64> = (0..3).flat_map(|bin| (0..4).map(move |point| counts(point, bin))).collect();
         let by_point: Vec<f64> = (0..4).flat_map(|point| (0..3).map(move |bin| counts(point, bin))).collect();

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn surplus_gaps_and_overlaps_are_told_apart() {
+    fn surplus_gaps_and_overlaps_are_distinguished() {
         assert_eq!(places(&[record(10, 2), record(18, 2)], &[(0, 10)], 26), []);
         assert_eq!(places(&[record(10, 2)], &[(0, 10)], 26), [18], "surplus at the end");
         assert_eq!(places(&[record(12, 2), record(22, 2)], &[(4, 10), (0, 2)], 30), [2, 10, 20], "gaps");

@@ -60,8 +60,8 @@ impl Reader for CaenCompass {
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
         let holds = input.bytes("the first word", 0, START)?[0];
         if holds & WAVEFORM == 0 {
-            let mend = "record with waveforms (Save waves), or make histograms of the times and save them as .npy";
-            return Err(FormatError::NotRead { what: "a CoMPASS list of events without waveforms", mend });
+            let fix = "record with waveforms (Save waves), or make histograms of the times and save them as .npy";
+            return Err(FormatError::NotRead { what: "a CoMPASS list of events without waveforms", fix });
         }
         let energies: u64 = ENERGIES.iter().filter(|(bit, _)| holds & bit != 0).map(|(_, bytes)| bytes).sum();
         let list = List { head: BEFORE_ENERGIES + energies + FLAGS + WAVE_HEAD };
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_odd_or_wrong_is_said() {
+    fn what_is_unusual_or_wrong_is_reported() {
         let error = refusal(&CaenCompass, &list(5, &[vec![1; 40]]));
         assert!(error.contains("events without waveforms") && error.contains("Save waves"), "{error}");
         assert!(refusal(&CaenCompass, &list(9, &[event(2, 0, 64, 0, &[1])])).contains("byte 2: channel 64"));

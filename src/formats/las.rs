@@ -142,7 +142,7 @@ impl File {
         let head = Numbers::head(input, HEAD_1_3)?;
         let (minor, head_bytes, format) = (head.u8(25), u64::from(head.u16(94)), head.u8(104));
         if format & COMPRESSED != 0 {
-            return Err(FormatError::NotRead { what: "a compressed LAS file (LAZ)", mend: "unpack it with `laszip`" });
+            return Err(FormatError::NotRead { what: "a compressed LAS file (LAZ)", fix: "unpack it with `laszip`" });
         }
         let layout = match format {
             4 => Layout { gps: 20, packet: 28 },
@@ -150,8 +150,8 @@ impl File {
             9 => Layout { gps: 22, packet: 30 },
             10 => Layout { gps: 22, packet: 38 },
             _ => {
-                let mend = "export points of format 4, 5, 9 or 10, with their waveforms";
-                return Err(FormatError::NotRead { what: "a LAS point cloud without waveform packets", mend });
+                let fix = "export points of format 4, 5, 9 or 10, with their waveforms";
+                return Err(FormatError::NotRead { what: "a LAS point cloud without waveform packets", fix });
             }
         };
         if minor < 3 || head_bytes < HEAD_1_3 || minor >= 4 && head_bytes < HEAD_1_4 {
@@ -257,8 +257,8 @@ impl File {
 
     fn records(&self, input: &mut dyn Input, packets: &[Packet]) -> Result<Vec<Record>, FormatError> {
         if packets.is_empty() {
-            let mend = "export its waveforms with it";
-            return Err(FormatError::NotRead { what: "a LAS file none of whose points has a waveform", mend });
+            let fix = "export its waveforms with it";
+            return Err(FormatError::NotRead { what: "a LAS file none of whose points has a waveform", fix });
         }
         if beam::are_too_many(packets.len() as u64, self.waves.end.max(input.length())) {
             let problem = format!("{} waveforms are more than the file can hold; copy it again", packets.len());
@@ -323,8 +323,8 @@ impl Descriptor {
         }
         let (bits, samples, dt_ps) = (fields.u8(0), fields.u32(2), fields.u32(6));
         if fields.u8(1) != 0 {
-            let mend = "export them without compression";
-            return Err(FormatError::NotRead { what: "a LAS file with compressed waveform packets", mend });
+            let fix = "export them without compression";
+            return Err(FormatError::NotRead { what: "a LAS file with compressed waveform packets", fix });
         }
         let code_type = match bits {
             8 => CodeType::U8,

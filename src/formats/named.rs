@@ -35,8 +35,8 @@ pub(super) fn refusal(head: &[u8], extension: &str) -> Option<FormatError> {
         let named = extensions.contains(&extension) || extensions.is_empty() && !bytes.is_empty();
         head.starts_with(bytes) && named
     };
-    let (_, _, what, mend) = *FORMATS.iter().find(is_it)?;
-    Some(FormatError::NotRead { what, mend })
+    let (_, _, what, fix) = *FORMATS.iter().find(is_it)?;
+    Some(FormatError::NotRead { what, fix })
 }
 
 #[cfg(test)]

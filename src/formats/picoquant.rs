@@ -21,6 +21,7 @@
 //! the rest on files that the tests build, for which it reads the same counts.
 
 mod events;
+mod table;
 mod tags;
 
 use std::collections::BTreeMap;
@@ -29,6 +30,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use self::events::{Clock, Event, Layout, MARKERS};
+use self::table::Table;
 pub(crate) use self::tags::iso;
 use self::tags::{Tags, WHOLE};
 use super::description::{Description, Key};
@@ -155,14 +157,23 @@ impl Reader for PicoquantPtu {
         };
         let t0_s = if is_t2 { Some(0.0) } else { Some(tags.offset_s("MeasDesc_Offset", WHOLE)?) };
         let description = input.description().clone();
-        let Survey { times, channels, stretches, before } = events.survey(input, &description)?;
+        let table = if description.marker.is_none() { Table::of(&events, input.file())? } else { None };
+        let survey = match &table {
+            Some(table) => table.survey(&events),
+            None => events.survey(input, &description)?,
+        };
+        let Survey { times, channels, stretches, before } = survey;
         let per_bin = per_bin(times, unit_s, is_t2, &description)?;
         let (bins, dt_s) = (times.div_ceil(per_bin) as usize, unit_s * per_bin as f64);
         let mut records = Vec::new();
         for channel in (0..channels.len()).filter(|channel| channels[*channel]) {
             let head = Arc::new(Head { channel: Some(channel.to_string()), ..tags.head(self.format(), bins, dt_s) });
             for (number, stretch) in stretches.iter().enumerate() {
-                let payload = Payload::Packed(Arc::new(Histogram { stretch: *stretch, channel, bins, per_bin }));
+                let unpack: Arc<dyn Unpack> = match &table {
+                    Some(table) => Arc::new(Counted(table.histogram(channel, bins, per_bin as usize))),
+                    None => Arc::new(Histogram { stretch: *stretch, channel, bins, per_bin }),
+                };
+                let payload = Payload::Packed(unpack);
                 let segment = description.marker.map(|_| number as u32);
                 records.push(Record { head: Arc::clone(&head), segment, t0_s, trigger_s: None, payload });
             }
@@ -221,15 +232,17 @@ impl Events {
 
     /// What the events are together, cut at those of a marker.
     fn survey(&self, input: &mut dyn Input, description: &Description) -> Result<Survey, FormatError> {
-        let start = Stretch { events: *self, clock: Clock::new(self.layout) };
-        let stretches = if description.marker.is_none() { vec![start] } else { Vec::new() };
-        let mut survey = Survey { times: 0, channels: [false; 64], stretches, before: 0 };
+        let mut survey = Survey::whole(self);
+        let start = survey.stretches[0];
+        if description.marker.is_some() {
+            survey.stretches.clear();
+        }
         let bit = description.marker.map_or(0, |marker| 1 << (marker.clamp(1, MARKERS) - 1));
         // A record takes far more memory than the event at which it begins.
         let each = size_of::<Record>() + size_of::<Histogram>() + size_of::<Stretch>();
         let most = (2 * input.length() + (1 << 18)) as usize / each;
         let mut markers = 0;
-        start.each(input.file(), &mut |number, clock, event| {
+        start.each(input.file(), |number, clock, event| {
             match event {
                 Event::Photon(channel, time) if !survey.stretches.is_empty() => {
                     survey.channels[channel] = true;
@@ -271,6 +284,12 @@ struct Survey {
 }
 
 impl Survey {
+    /// Nothing yet of events that no marker cuts.
+    fn whole(events: &Events) -> Self {
+        let start = Stretch { events: *events, clock: Clock::new(events.layout) };
+        Self { times: 0, channels: [false; 64], stretches: vec![start], before: 0 }
+    }
+
     /// Ends the last stretch before the event `next`, and begins another.
     fn cut(&mut self, all: &Events, next: u64, clock: Clock) {
         let events = Events { byte_offset: all.byte_offset + next * WORD_BYTES, count: all.count - next, ..*all };
@@ -314,7 +333,7 @@ impl Stretch {
     fn each(
         &self,
         file: &mut dyn ReadSeek,
-        take: &mut dyn FnMut(u64, &Clock, Event) -> io::Result<()>,
+        mut take: impl FnMut(u64, &Clock, Event) -> io::Result<()>,
     ) -> io::Result<()> {
         let length = self.events.count * WORD_BYTES;
         let mut piece = vec![0; PIECE_BYTES.min(length) as usize];
@@ -352,7 +371,7 @@ impl Unpack for Histogram {
         take: &mut dyn FnMut(&[u8]) -> io::Result<ControlFlow<()>>,
     ) -> io::Result<()> {
         let mut counts = vec![0_u32; self.bins];
-        self.stretch.each(file, &mut |_, _, event| {
+        self.stretch.each(file, |_, _, event| {
             let Event::Photon(channel, time) = event else { return Ok(()) };
             if channel != self.channel {
                 return Ok(());
@@ -365,6 +384,20 @@ impl Unpack for Histogram {
         })?;
         let bytes: Vec<u8> = counts.iter().flat_map(|count| count.to_le_bytes()).collect();
         take(&bytes).map(|_| ())
+    }
+}
+
+/// Photons of one channel that were counted when the file was opened: a few bytes, next to all the events.
+#[derive(Debug)]
+struct Counted(Vec<u8>);
+
+impl Unpack for Counted {
+    fn unpack(
+        &self,
+        _: &mut dyn ReadSeek,
+        take: &mut dyn FnMut(&[u8]) -> io::Result<ControlFlow<()>>,
+    ) -> io::Result<()> {
+        take(&self.0).map(|_| ())
     }
 }
 

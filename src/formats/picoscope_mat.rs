@@ -62,12 +62,12 @@ impl Reader for PicoscopeMat {
             None => Ok(None),
         };
         if variables.iter().any(|variable| variable.name == "T") {
-            let mend = "save it without equivalent-time sampling";
-            return Err(FormatError::NotRead { what: "a PicoScope file with a time for every sample", mend });
+            let fix = "save it without equivalent-time sampling";
+            return Err(FormatError::NotRead { what: "a PicoScope file with a time for every sample", fix });
         }
         let Some(step_s) = number(input, "Tinterval")? else {
-            let mend = "save the samples as .npy, or with a variable Tinterval";
-            return Err(FormatError::NotRead { what: "a MATLAB file of version 4 without Tinterval", mend });
+            let fix = "save the samples as .npy, or with a variable Tinterval";
+            return Err(FormatError::NotRead { what: "a MATLAB file of version 4 without Tinterval", fix });
         };
         let (start_s, length) = (number(input, "Tstart")?, number(input, "Length")?);
         let field = |problem: String| FormatError::Field { byte_offset: 0, problem };

@@ -123,8 +123,8 @@ impl File {
         let (head_bytes, start, count) = (u64::from(head.u16(174)), head.u64(176), head.u64(184));
         let (format, stride, compression) = (head.u32(192), u64::from(head.u32(200)), head.u32(204));
         if compression != 0 {
-            let mend = "unpack it with `pulsezip`";
-            return Err(FormatError::NotRead { what: "a compressed PulseWaves file", mend });
+            let fix = "unpack it with `pulsezip`";
+            return Err(FormatError::NotRead { what: "a compressed PulseWaves file", fix });
         }
         if format != 0 || stride < PULSE {
             let problem =
@@ -350,8 +350,8 @@ fn check_waves(input: &mut dyn Input, start: u64) -> Result<(), FormatError> {
         return Err(head.refuse(0, "the .wvs next to it is no PulseWaves file; copy it again"));
     }
     if head.u32(16) != 0 {
-        let mend = "unpack it with `pulsezip`";
-        return Err(FormatError::NotRead { what: "a PulseWaves file with compressed waves", mend });
+        let fix = "unpack it with `pulsezip`";
+        return Err(FormatError::NotRead { what: "a PulseWaves file with compressed waves", fix });
     }
     Ok(())
 }

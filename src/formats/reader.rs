@@ -27,12 +27,12 @@ pub enum FormatError {
     )]
     Unknown,
     /// It is known what it is, and that it is not read.
-    #[error("is {what}, which is not read; {mend}")]
+    #[error("is {what}, which is not read; {fix}")]
     NotRead {
         /// What it is.
         what: &'static str,
         /// What to do.
-        mend: &'static str,
+        fix: &'static str,
     },
     /// It ends too early.
     #[error(

@@ -138,8 +138,8 @@ fn remarks(input: &mut dyn Input, channels: &[Channel]) {
 /// Why a file has no records.
 fn nothing(channels: &[Channel]) -> FormatError {
     if channels.iter().any(|channel| channel.skipped.is_some()) {
-        let mend = "save the channels as numbers of 32 bits or floats";
-        return FormatError::NotRead { what: "a TDMS file of text, times, logic values or 64 bit integers", mend };
+        let fix = "save the channels as numbers of 32 bits or floats";
+        return FormatError::NotRead { what: "a TDMS file of text, times, logic values or 64 bit integers", fix };
     }
     let problem = "no channel has values: the recording may have been interrupted";
     FormatError::Field { byte_offset: 0, problem: problem.to_owned() }
@@ -238,8 +238,8 @@ fn segments(input: &mut dyn Input, objects: &mut Objects) -> Result<(), FormatEr
 }
 
 fn daqmx() -> FormatError {
-    let mend = "log scaled data, or convert the file to floats in LabVIEW or DIAdem";
-    FormatError::NotRead { what: "a TDMS file of DAQmx raw data", mend }
+    let fix = "log scaled data, or convert the file to floats in LabVIEW or DIAdem";
+    FormatError::NotRead { what: "a TDMS file of DAQmx raw data", fix }
 }
 
 /// Remarks on a segment that equals the first one, as far as is compared: the file may hold a recording twice.

@@ -2,7 +2,7 @@
 //!
 //! A point of a wall that is lit and seen itself has its first light from the nearest point of a surface. A surface is
 //! fitted to the lengths of first light themselves: where the nearest point lies, the surface says. Points that
-//! neighbouring places tell ([`super::first_return`]) err by centimetres along a surface that is hollow towards the
+//! neighbouring places tell ([`super::first_return`]) err by centimetres along a surface that is concave towards the
 //! wall, since the nearest point moves several times as far as the place. Their lengths do not err.
 //!
 //! | module | does |

@@ -25,7 +25,7 @@
 //! radius, but errors of their law of first light are not known well enough: fitted so, 0.3 to 0.9 of them lay within
 //! their ellipsoids of 95 %.
 //!
-//! Not modelled: lit points apart from the seen ones, spheres and cylinders that are hollow towards the wall, where
+//! Not modelled: lit points apart from the seen ones, spheres and cylinders that are concave towards the wall, where
 //! planes end, shapes that are told to be parallel or to meet.
 
 mod core;

@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_malformed_is_told_with_the_mend() {
+    fn what_is_malformed_is_reported_with_the_fix() {
         for (text, told) in [
             ("3", "write patch=3"),
             ("pach=3", "did you mean `patch`?"),

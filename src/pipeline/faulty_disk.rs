@@ -236,9 +236,9 @@ fn faults_of_shards_and_their_gathering_end_with_an_error_and_the_next_ones_have
     assert!(of_shards >= 3 && of_gather >= 3, "{of_shards} {of_gather}");
 }
 
-/// A damaged part: whatever becomes of the repair, the next repair and run mend it.
+/// A damaged part: whatever becomes of the repair, the next repair and run fix it.
 #[test]
-fn faults_of_a_repair_end_with_an_error_and_the_next_one_mends_the_damage() {
+fn faults_of_a_repair_end_with_an_error_and_the_next_one_repairs_the_damage() {
     let bench = Bench::new();
     bench.run().unwrap();
     let expected = bench.results();

@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use arrow_schema::SchemaRef;
 
 use super::recipe::stage_id;
-use super::responses::{self, MissingResponse};
 use super::spec::Spec;
 use crate::campaign::{Campaign, LeftOut};
 use crate::stages::Node;
@@ -82,9 +81,6 @@ pub enum PlanError {
         /// Cause.
         source: StageError,
     },
-    /// A stage needs a response that no file of a campaign shows.
-    #[error("{0}")]
-    Response(MissingResponse),
     /// The result folder cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -97,7 +93,7 @@ impl<'a> Plan<'a> {
     /// Surveys sources and shelf. `until` names the last wanted table; by default all are wanted.
     ///
     /// # Errors
-    /// When a campaign or the result folder cannot be read, or a campaign lacks what no stage can do without.
+    /// When a campaign or the result folder cannot be read.
     pub fn new(
         spec: &'a Spec,
         campaigns: &'a [Campaign],
@@ -121,8 +117,7 @@ impl<'a> Plan<'a> {
             }
         }
         let scope = until.map_or(Scope::All, |until| Scope::Until(vec![until]));
-        let plan = Self::of(spec, campaigns, shelf, sources, scope, BTreeMap::new())?;
-        responses::missing(&plan).map_or(Ok(plan), |missing| Err(PlanError::Response(missing)))
+        Ok(Self::of(spec, campaigns, shelf, sources, scope, BTreeMap::new())?)
     }
 
     /// A plan from surveyed sources; `given` has the lineages of the parts of some tables, by step.

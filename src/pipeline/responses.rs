@@ -9,7 +9,8 @@ use crate::stages::Node;
 use crate::stages::stage::Beside;
 
 /// A table that cannot be made, since the campaign has no response captures of some sensors.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}: {}", Path::join(campaign, "campaign.toml").display(), self.words())]
 pub struct MissingResponse {
     /// Folder of the campaign.
     pub campaign: PathBuf,
@@ -41,19 +42,14 @@ impl MissingResponse {
     }
 }
 
-/// Says it with its place.
-impl std::fmt::Display for MissingResponse {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}: {}", Path::join(&self.campaign, "campaign.toml").display(), self.words())
-    }
-}
-
-/// The first table that is to be made and cannot be. A campaign that is still being captured may get its response
-/// later, and is not judged.
-#[must_use]
-pub fn missing(plan: &Plan<'_>) -> Option<MissingResponse> {
+/// Refuses a plan with a table that is to be made and cannot be. A campaign that is still being captured may get its
+/// response later, and is not judged.
+///
+/// # Errors
+/// The first such table.
+pub fn require(plan: &Plan<'_>) -> Result<(), MissingResponse> {
     let to_make = (0..plan.tables.len()).filter(|&i| plan.tables[i].wanted && !plan.tables[i].complete());
-    to_make.flat_map(|i| missing_for(plan, i)).next()
+    to_make.flat_map(|i| missing_for(plan, i)).next().map_or(Ok(()), Err)
 }
 
 /// What a step lacks, campaign by campaign.

@@ -8,6 +8,7 @@ use super::pass::{self, Ended, Pass};
 use super::plan::Plan;
 use super::progress::{Amount, Progress};
 use super::rejects::TooMany;
+use super::responses;
 pub use super::settings::{RunError, Settings};
 use super::timeline::Timeline;
 use crate::campaign::LeftOut;
@@ -37,9 +38,11 @@ pub struct Outcome {
 /// workers that wait for them.
 ///
 /// # Errors
-/// The first failure, or that the run was stopped; parts that were finished before it are kept.
+/// A response that the campaigns lack, before a record is read; else the first failure, or that the run was stopped:
+/// parts that were finished before it are kept.
 pub fn run(plan: &mut Plan<'_>, settings: &Settings, progress: &Progress) -> Result<Outcome, RunError> {
     settings.check()?;
+    responses::require(plan)?;
     let mut outcome = Outcome::default();
     let most_rejects = settings.max_rejects.map_or(u64::MAX, |limit| limit.most(records(plan)));
     let ended = passes(plan, settings, most_rejects, progress, &mut outcome);

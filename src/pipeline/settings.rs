@@ -6,6 +6,7 @@ use thiserror::Error;
 
 use super::plan::PlanError;
 use super::rejects::{MaxRejects, TooMany};
+use super::responses::MissingResponse;
 use super::timeline::Timeline;
 use crate::cancel::Cancel;
 use crate::stages::stage::StageError;
@@ -110,6 +111,9 @@ pub enum RunError {
     /// The plan.
     #[error(transparent)]
     Plan(#[from] PlanError),
+    /// A stage needs a response that no file of a campaign shows.
+    #[error(transparent)]
+    Response(#[from] MissingResponse),
     /// Too little memory.
     #[error(
         "--memory {given} B is less than the {least} B that this run needs at least; give more, or fewer --threads"

@@ -9,7 +9,7 @@ use crate::history::HistoryError;
 use crate::history::ancestry::Ancestry;
 use crate::pipeline::rejects;
 use crate::store::Shelf;
-use crate::store::runs::RunRecord;
+use crate::store::runs::{Ending, RunRecord};
 use crate::tables::{Reject, Row};
 
 /// Reasons of rejects that are listed at most.
@@ -62,6 +62,12 @@ pub struct Provenance {
 }
 
 impl Provenance {
+    /// Whether the last run came to its end.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.last_run.as_ref().is_none_or(|run| run.ending == Some(Ending::Done))
+    }
+
     /// Reads records of runs and tables.
     ///
     /// # Errors

@@ -27,7 +27,7 @@ pub enum Word {
     Unchecked,
     /// The pipeline asks for no positions.
     NotAsked,
-    /// The data show nothing, or do not tell.
+    /// The data show nothing, or do not decide.
     NothingFound,
     /// The model does not explain the data.
     NotExplained,
@@ -95,6 +95,8 @@ impl Verdict {
             remarks.extend(of_waveforms(arrivals));
         }
         match scene {
+            // A run that did not end may have had one.
+            None if !provenance.is_done() => {}
             None => remarks.push((Word::NotAsked, "no stage of this pipeline solves for positions".to_owned())),
             Some(scene) => {
                 remarks.extend(of_scene(scene, arrivals.iter().filter(|onset| onset.path.is_some()).count()));
@@ -111,14 +113,15 @@ impl Verdict {
     }
 }
 
-/// What is odd about the last run.
+/// What is wrong with the last run.
 fn ending(provenance: &Provenance) -> Option<(Word, String)> {
     let run = provenance.last_run.as_ref()?;
     match run.ending {
         Some(Ending::Done) => None,
         Some(Ending::Failed) => {
             let why = run.failure.as_deref().unwrap_or("its record does not say why");
-            Some((Word::Failed, format!("{why}; what stands below is of earlier work")))
+            let rest = if provenance.tables.is_empty() { "" } else { "; what stands below is of earlier work" };
+            Some((Word::Failed, format!("{why}{rest}")))
         }
         Some(Ending::Interrupted) => {
             Some((Word::Unfinished, "the last run was interrupted; the same command goes on from there".to_owned()))

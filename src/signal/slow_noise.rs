@@ -311,7 +311,7 @@ mod tests {
 
     /// Wander is told in size, and what is left is the fast noise, also where a part of the record is lit.
     #[test]
-    fn wander_is_told_from_fast_noise() {
+    fn wander_is_distinguished_from_fast_noise() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for (height, turns) in [(4.0, 0.4), (4.0, 2.7), (1.0, 0.4), (4.0, 6.2)] {
             for lit in [0..0, 100..400] {

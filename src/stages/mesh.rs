@@ -1,7 +1,7 @@
 //! `mesh`: hidden surfaces between the points that first light shows, with error bars.
 //!
 //! A height over a grid is fitted to the lengths of first light ([`crate::geometry::height_field`]). It knows what no
-//! point knows alone: a surface is smooth but at few edges, and lies behind every length. Where points of a hollow
+//! point knows alone: a surface is smooth but at few edges, and lies behind every length. Where points of a concave
 //! surface err by centimetres along it, heights err by a millimetre.
 //!
 //! A mesh is told only where the lengths are explained, by a surface that is smooth over the part of it that a point of

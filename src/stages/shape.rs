@@ -9,7 +9,7 @@
 //! and `points`: all points again, with the shape that they lie on. Captures whose lit and seen points differ have
 //! none.
 //!
-//! Not modelled: edges and corners, hollow spheres and cylinders, where planes end, errors of the wall's places.
+//! Not modelled: edges and corners, concave spheres and cylinders, where planes end, errors of the wall's places.
 //!
 //! ```toml
 //! [shapes]

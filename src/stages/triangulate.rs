@@ -202,7 +202,7 @@ impl Apply for Triangulate {
         let solutions = match bistatic::solve(&model.problem) {
             Ok(solutions) => solutions,
             Err(unsolved) => {
-                reasons.push(format!("strips are not placed: {unsolved}; {}", mend(&unsolved)));
+                reasons.push(format!("strips are not placed: {unsolved}; {}", fix(&unsolved)));
                 Vec::new()
             }
         };
@@ -225,7 +225,7 @@ impl Apply for Triangulate {
 }
 
 /// What to add.
-fn mend(unsolved: &bistatic::Unsolved) -> &'static str {
+fn fix(unsolved: &bistatic::Unsolved) -> &'static str {
     match unsolved {
         bistatic::Unsolved::TooFew { .. } => {
             "light more diffuser points, or average more shots until every strip shows"

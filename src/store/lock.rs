@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_second_holder_is_told_the_first_and_the_lock_goes_with_its_holder() {
+    fn a_second_holder_learns_the_first_and_the_lock_goes_with_its_holder() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("lock"), "{\"host\": \"of an earlier run, longer than the next name\", \"process\": 1, \"started\": \"2026-03-14T09:15:00Z\"}").unwrap();
         let lock = take(Path::new("results"), folder.path(), Hold::Alone).unwrap();
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn shards_share_it_and_a_run_is_told_that_they_do() {
+    fn shards_share_it_and_a_run_learns_that_they_do() {
         let folder = tempfile::tempdir().unwrap();
         let lock = [0, 1].map(|_| take(Path::new("results"), folder.path(), Hold::Together).unwrap());
         let refused = take(Path::new("results"), folder.path(), Hold::Alone).unwrap_err().to_string();

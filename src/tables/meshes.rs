@@ -30,8 +30,8 @@ table! {
 }
 
 table! {
-    /// A node of a hidden surface. Nodes of a mesh whose rows and columns differ by 1 are neighbours. Where the surface
-    /// ends is not told: no node lies within about two nodes of that.
+    /// A node of a hidden surface. Nodes of a mesh whose rows and columns differ by 1 are neighbours. The edge of
+    /// the surface is not estimated: no node lies within about two nodes of it.
     "vertices": Vertex, VertexColumns {
         /// Mesh of `meshes`.
         mesh: i32,

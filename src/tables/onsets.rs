@@ -48,7 +48,7 @@ table! {
         /// Standard deviation of the time error that all onsets of the profile share.
         jitter_ps: f64,
         /// Width of the response over that of the response captures, as all arrivals of the profile show it; null where
-        /// they tell nothing of it.
+        /// they do not determine it.
         response_width: Option<f64>,
         /// Standard deviation of that.
         response_width_sd: Option<f64>,

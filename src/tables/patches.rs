@@ -7,7 +7,7 @@ table! {
     /// Position of one patch with its covariance. Table `fits` gives the frame. If anchors, rays and separate stations
     /// fix it, it is the campaign's. Otherwise it is canonical: the first patch on +x from the laser, the next that is
     /// clearly off that line in the xy plane at y > 0, the next that is clearly off that plane at z > 0 (the data do
-    /// not tell mirror images apart); covariances exclude the three rotations of the visible patches about the laser.
+    /// not distinguish mirror images); covariances exclude the three rotations of the visible patches about the laser.
     /// With stations on a line, the first patch off that line is towards +y (else +z), and covariances exclude the
     /// rotation about the line.
     "patches": Patch, PatchColumns {

@@ -41,7 +41,7 @@ table! {
 }
 
 table! {
-    /// Size and direction of a patch, as far as its light tells them or campaign.toml does: a flat disk.
+    /// Size and direction of a patch, as the widths of its pulses or campaign.toml give them: a flat disk.
     "footprints": PatchFootprint, PatchFootprintColumns {
         /// Patch.
         patch: i32,
@@ -57,8 +57,8 @@ table! {
         normal_sd_rad: f64,
         /// Standard deviation of the diameter.
         size_sd_m: f64,
-        /// Covariance of the normal times the diameter, x by x; 0 where both were given. Widths tell the angle between
-        /// the normal and the light much better than the turn about that.
+        /// Covariance of the normal times the diameter, x by x; 0 where both were given. Widths give the angle between
+        /// the normal and the light much better than the rotation about the light.
         cov_xx_m2: f64,
         /// Covariance of the normal times the diameter, x by y.
         cov_xy_m2: f64,

@@ -6,8 +6,8 @@ use crate::table;
 table! {
     /// A joint search as a whole, with its evidence: one row.
     "searches": JointSearch, JointSearchColumns {
-        /// points: small things, with error bars; extended-object: light that points do not explain; nothing; or
-        /// cannot-tell.
+        /// points: small things, with error bars; extended-object: a signal that points do not explain; nothing: no
+        /// signal above noise; cannot-tell: undecided.
         verdict: Name,
         /// Why, in words.
         reason: Name,

@@ -247,8 +247,8 @@ table! {
         /// Standard deviation of a baseline that moves the same way in every shot, which the impulses were explained
         /// with, in the unit of the profile as it was measured; 0 where the profile shows none.
         ground_v: f64,
-        /// Width of the response over that of the response captures, as the profile shows it; null where it tells
-        /// nothing of it. Where it is significant, the impulses are those of a response of this width.
+        /// Width of the response over that of the response captures, as the profile shows it; null where it
+        /// does not determine the width. Where it is significant, the impulses are those of a response of this width.
         response_width: Option<f64>,
         /// Standard deviation of that.
         response_width_sd: Option<f64>,

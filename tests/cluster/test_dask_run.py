@@ -85,7 +85,7 @@ def test_a_cancelled_job_leaves_nothing_that_runs_and_goes_on(lab: Lab, how: sig
 
 
 def test_a_shard_that_always_fails_ends_the_job_and_is_named(lab: Lab) -> None:
-    """Retries mend nothing here."""
+    """Retries do not help here."""
     shards = dask_run.plan(dask_run.parse(lab.words("failing", 1)))
     bad = Path(shards[3].inputs[0])
     content = bad.read_bytes()
@@ -101,7 +101,7 @@ def test_a_shard_that_always_fails_ends_the_job_and_is_named(lab: Lab) -> None:
     assert bad.name in err
 
 
-def test_clusters_are_told_apart_and_ask_for_cores_and_memory(lab: Lab) -> None:
+def test_clusters_are_distinguished_and_ask_for_cores_and_memory(lab: Lab) -> None:
     """What would be handed to Slurm and HTCondor."""
     words = [*lab.words("out", 5), "--cores", "4", "--memory", "16GB"]
     for kind, expected in [("slurm", ["#SBATCH --cpus-per-task=4", "#SBATCH --mem=15G"]), ("htcondor", ["request_cpus = 4", "RequestMemory"])]:
@@ -115,7 +115,7 @@ def test_clusters_are_told_apart_and_ask_for_cores_and_memory(lab: Lab) -> None:
         dask_run.cluster_of(dask_run.parse([*words, "--cluster", "cloud"]))
 
 
-def test_progress_is_told_in_words() -> None:
+def test_progress_is_reported_in_words() -> None:
     """How far, how fast, how long still."""
     assert dask_run.progress(3, 24, 500_000_000, 4_000_000_000, 10.0) == "3 of 24 shards, 500.0 MB of 4.0 GB, 50.0 MB/s, 70 s left"
     assert dask_run.progress(24, 24, 12, 12, 0.5) == "24 of 24 shards, 12 B of 12 B, 24 B/s"

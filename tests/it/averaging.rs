@@ -38,7 +38,7 @@ pub fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 /// A capture of 50 shots at a signal-to-noise ratio of 80 shows the trigger's jitter of 4 ps. At 10 it does not, and so
 /// none is claimed.
 #[test]
-fn jitter_that_no_reference_tells_is_seen_in_the_noise() {
+fn jitter_that_no_reference_shows_is_seen_in_the_noise() {
     for (snr, least_claims) in [(80.0, 64), (10.0, 0)] {
         let lab = Lab::of(&NO_REFERENCE.replace("snr = 10.0", &format!("snr = {snr:?}")), 1, Format::Trc);
         lab.run("out", impulses(), &Settings::default()).unwrap();

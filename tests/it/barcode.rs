@@ -283,7 +283,7 @@ fn two_strips_come_out_of_the_sum_of_their_pulses() {
 
 /// In a room drawn at random, mirrors turned by hand.
 #[test]
-fn the_sum_tells_more_than_one_strip_at_a_time_read_off_a_screen() {
+fn the_sum_shows_more_than_one_strip_at_a_time_read_off_a_screen() {
     let barcode = Barcode::moved(2, 5);
     let ours_m = barcode.largest_m(&run(&barcode, 5, PIPELINE).patches).unwrap();
     let paper_m = barcode.largest_m(&paper(&barcode, 5)).unwrap();

@@ -108,19 +108,19 @@ fn a_drift_is_measured_in_its_unit() {
 
 /// The table lists what was not captured as missing, and how to capture it; the rest is checked all the same.
 #[test]
-fn missing_captures_are_told() {
+fn missing_captures_are_reported() {
     let lab = Lab::tiny();
     lab.run("out", CHARACTERIZE, &Settings::default()).unwrap();
     let checks: Vec<Check> = lab.rows("out", "checks");
     let verdict = |check: &str| checks.iter().find(|row| &*row.check == check).unwrap();
-    for (check, mend) in [
+    for (check, fix) in [
         ("linearity", "attenuation_od"),
         ("inverse_square", "path_m"),
         ("delay_drift", "fiducial"),
         ("pickup", "blocked"),
     ] {
         let row = verdict(check);
-        assert!(&*row.verdict == "missing" && row.cause.contains(mend) && row.value.is_none(), "{row:#?}");
+        assert!(&*row.verdict == "missing" && row.cause.contains(fix) && row.value.is_none(), "{row:#?}");
     }
     assert!(&*verdict("echo").verdict == "pass" && &*verdict("noise_codes").verdict == "pass", "{checks:#?}");
 }

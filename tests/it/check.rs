@@ -114,7 +114,7 @@ fn a_campaign_that_has_only_begun_can_be_checked() {
 }
 
 #[test]
-fn verdicts_of_the_instrument_are_told_with_their_cause() {
+fn verdicts_of_the_instrument_are_reported_with_their_cause() {
     let lab = Lab::of(&faulty("saturation_v = 5.0"), 3, Format::Trc);
     let (code, report) = json(&lab, &[]);
     assert_eq!(code, Some(3));

@@ -18,7 +18,7 @@ fn python() -> Option<PathBuf> {
         let venv = target.join("python-cluster");
         let _ = writeln!(
             std::io::stderr(),
-            "NOT TESTED with Dask and Snakemake: {} lacks something of tests/cluster/requirements.txt; mend: python3 -m venv {1} && {1}/bin/pip install -r tests/cluster/requirements.txt",
+            "NOT TESTED with Dask and Snakemake: {} lacks something of tests/cluster/requirements.txt; fix: python3 -m venv {1} && {1}/bin/pip install -r tests/cluster/requirements.txt",
             python.display(),
             venv.display(),
         );

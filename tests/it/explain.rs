@@ -179,7 +179,7 @@ fn run_record(started: &str, campaigns: BTreeMap<String, std::path::PathBuf>) ->
 }
 
 #[test]
-fn two_campaigns_are_told_apart() {
+fn two_campaigns_are_distinguished() {
     let folder = tempfile::tempdir().unwrap();
     let mut campaigns = Vec::new();
     for (day, seed) in [("monday", 1), ("tuesday", 2)] {
@@ -234,7 +234,7 @@ fn a_campaign_that_grew_since_does_not_change_what_stood_behind() {
 }
 
 #[test]
-fn what_is_not_there_is_told_with_the_nearest() {
+fn what_is_not_there_is_reported_with_the_nearest() {
     for (target, table, text) in [
         ("patch=33", None, "`patches` has no patch 33; it has 1, 2, 3, 4"),
         (

@@ -58,7 +58,7 @@ fn a_pattern_without_files_and_files_without_a_rule_are_listed_and_the_run_goes_
 }
 
 #[test]
-fn truncated_and_foreign_files_are_set_aside_by_name_and_the_rest_goes_on() {
+fn truncated_and_foreign_files_are_rejected_by_name_and_the_rest_goes_on() {
     let lab = Lab::tiny();
     let scene = lab.campaign().join("raw/scene");
     let bytes = fs::read(scene.join("s1_L1_P2_C1.trc")).unwrap();
@@ -85,7 +85,7 @@ fn truncated_and_foreign_files_are_set_aside_by_name_and_the_rest_goes_on() {
 }
 
 #[test]
-fn a_missing_reference_file_is_told_and_its_capture_left_out() {
+fn a_missing_reference_file_is_reported_and_its_capture_left_out() {
     let lab = Lab::tiny();
     fs::remove_file(lab.campaign().join("raw/scene/s1_L1_P2_C2.trc")).unwrap();
     let warnings = warnings(&lab);
@@ -95,7 +95,7 @@ fn a_missing_reference_file_is_told_and_its_capture_left_out() {
 }
 
 #[test]
-fn a_capture_with_no_valid_shot_is_set_aside() {
+fn a_capture_with_no_valid_shot_is_rejected() {
     let lab = Lab::tiny();
     // The reference channel of one capture holds no pulse: codes of a constant.
     let path = lab.campaign().join("raw/scene/s1_L2_P2_C2.trc");
@@ -113,7 +113,7 @@ fn a_capture_with_no_valid_shot_is_set_aside() {
 
 /// What a sample of the captures sets aside is told by the work that has them all.
 #[test]
-fn a_fault_in_a_sample_is_told_once() {
+fn a_fault_in_a_sample_is_reported_once() {
     let lab = Lab::tiny();
     let path = lab.campaign().join("raw/scene/s1_L1_P2_C1.trc");
     let bytes = fs::read(&path).unwrap();
@@ -167,7 +167,7 @@ fn scene_solves_for_sensors_apart_from_the_laser() {
 }
 
 #[test]
-fn a_campaign_without_response_captures_is_told_so() {
+fn a_campaign_without_response_captures_is_refused() {
     let lab = Lab::tiny();
     fs::remove_dir_all(lab.campaign().join("raw/response")).unwrap();
     let error = chain(lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap_err());
@@ -176,7 +176,7 @@ fn a_campaign_without_response_captures_is_told_so() {
 }
 
 #[test]
-fn a_patch_seen_by_no_capture_is_told_with_its_mend() {
+fn a_patch_seen_by_no_capture_is_reported_with_its_fix() {
     let lab = Lab::tiny();
     edit(&lab.campaign().join("campaign.toml"), "[patches.4]\n", "[patches.9]\nrole = \"visible\"\n[patches.4]\n");
     lab.run("out", ALL_VISIBLE, &Settings::default()).unwrap();
@@ -311,7 +311,7 @@ fn periscope(lab: &Lab, limit_blocks: Option<u32>, args: &[&str]) -> Output {
 }
 
 #[test]
-fn a_full_disk_stops_the_run_with_its_mend_and_the_next_run_goes_on_from_there() {
+fn a_full_disk_stops_the_run_with_its_fix_and_the_next_run_goes_on_from_there() {
     let lab = Lab::tiny();
     fs::write(lab.path("p.toml"), ALL_VISIBLE).unwrap();
     // An archive, which is the largest file.

@@ -355,7 +355,7 @@ fn hold(name: &str, nodes: &Nodes, most_m: f64) {
     assert!(count > 60 && held * 100 > 90 * count && median_m < most_m, "{name}: {held} of {count}, {median_m} m");
 }
 
-/// Points of a hollow surface err by centimetres along it; the surface between them does not.
+/// Points of a concave surface err by centimetres along it; the surface between them does not.
 #[test]
 fn a_saddle_has_a_surface_and_a_box_has_none() {
     let Results { points, nodes, .. } = results(&thing("saddle", 2001), &capture(32, 2001), 3000.0);

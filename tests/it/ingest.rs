@@ -24,7 +24,7 @@ fn edit_rules(lab: &Lab, more: &str) {
 }
 
 #[test]
-fn a_rounded_step_is_corrected_only_when_told_and_on_record() {
+fn a_rounded_step_is_corrected_only_on_request_and_on_record() {
     let lab = Lab::tiny();
     lab.run("plain", TRACES, &Settings::default()).unwrap();
     let plain: Vec<Trace> = lab.rows("plain", "traces");

@@ -271,7 +271,7 @@ fn points_of_a_surface_become_vertices_and_rows() {
 }
 
 #[test]
-fn faults_name_the_file_and_the_mend() {
+fn faults_name_the_file_and_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let made = Made { layout: Layout::Confocal, side: 2, with_legs: true, counts: true, seed: 1 };

@@ -80,7 +80,7 @@ impl OfTable for std::path::Path {
 }
 
 #[test]
-fn a_second_run_is_told_who_holds_the_folder_or_waits() {
+fn a_second_run_learns_who_holds_the_folder_or_waits() {
     let lab = Lab::tiny();
     fs::write(lab.path("p.toml"), ALL_VISIBLE).unwrap();
     let run = |wait: &[&str]| {

@@ -98,11 +98,11 @@ fn answer(folder: &Path, command: &str) -> String {
 }
 
 #[test]
-fn every_mistake_is_told_with_its_place_and_its_mend() {
+fn every_mistake_is_reported_with_its_place_and_its_fix() {
     let lab = lab();
     lab.rows_of_patches("results");
     let mut all = String::new();
-    for Mistake(edits, command, place, mend) in MISTAKES {
+    for Mistake(edits, command, place, fix) in MISTAKES {
         let edited = tempfile::tempdir().unwrap();
         // What only reads, or is refused at once, needs no folder of its own.
         let folder = if edits.is_empty() && !command.contains("--out new") {
@@ -119,8 +119,8 @@ fn every_mistake_is_told_with_its_place_and_its_mend() {
         };
         let answer = answer(&folder, command);
         assert!(
-            answer.contains(place) && answer.contains(mend),
-            "{command}: {place} and {mend} were expected in\n{answer}"
+            answer.contains(place) && answer.contains(fix),
+            "{command}: {place} and {fix} were expected in\n{answer}"
         );
         assert!(!answer.contains("panicked") && !answer.contains("defect"), "{answer}");
         edits.iter().for_each(|edit| writeln!(all, "# {edit:?}").unwrap());

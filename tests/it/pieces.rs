@@ -292,8 +292,8 @@ fn changed_files_and_damaged_pieces_are_refused_by_name() {
     bytes[40] ^= 4;
     fs::write(&left, bytes).unwrap();
     let text = large.refused(&["gather", "--out", "out"]);
-    let mend = format!("`periscope run-shard {} --out out` makes it again", key(&pieces[2]));
-    assert!(text.contains(&mend) && text.contains("subtotals.parquet is damaged"), "{text}");
+    let fix = format!("`periscope run-shard {} --out out` makes it again", key(&pieces[2]));
+    assert!(text.contains(&fix) && text.contains("subtotals.parquet is damaged"), "{text}");
     assert_eq!(large.make(&pieces[2], "out")["computed"], 1);
     // One that is gone.
     fs::remove_file(&left).unwrap();

@@ -19,7 +19,7 @@ static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
         let venv = target.join("python");
         let _ = writeln!(
             std::io::stderr(),
-            "NOT TESTED in Python: {python} has not all of {imports}; mend: python3 -m venv {venv} && {venv}/bin/pip install -r queries/requirements.txt",
+            "NOT TESTED in Python: {python} has not all of {imports}; fix: python3 -m venv {venv} && {venv}/bin/pip install -r queries/requirements.txt",
             python = python.display(),
             imports = imports.trim_start_matches("import "),
             venv = venv.display(),

@@ -71,7 +71,7 @@ fn tables_for_the_eye_have_all_rows_and_columns() {
 }
 
 #[test]
-fn a_question_that_names_what_is_not_there_is_told_what_is() {
+fn a_query_that_names_what_is_not_there_lists_what_is() {
     for (sql, words) in [
         ("SELECT * FROM patchs", "no table `patchs`; did you mean `patches`?"),
         ("SELECT time_pss FROM onsets", "no column `time_pss` in onsets; did you mean `time_ps`?"),

@@ -167,6 +167,14 @@ fn the_head_says_when_the_last_run_failed_and_the_page_how_the_answer_grew() {
     let head = &page[page.find("id=\"verdict\"").unwrap()..page.find("<nav").unwrap()];
     assert!(head.contains("class=\"verdict bad\"") && head.contains(" The run failed</p>"), "{head}");
     assert!(head.contains("no file shows the impulse response of sensor"), "{head}");
+    assert!(head.contains("what stands below is of earlier work"), "{head}");
+    // A folder without tables claims nothing, and has no empty sections.
+    assert_eq!(run_scene(&lab, "new"), 1);
+    let page = own(&page_of(&lab.path("new")));
+    let head = &page[page.find("id=\"verdict\"").unwrap()..page.find("</nav>").unwrap()];
+    let claims = ["earlier work", "solves for positions", "left out", "href=\"#stir\""];
+    assert!(claims.iter().all(|claim| !head.contains(claim)), "{head}");
+    assert!(page.contains("This result folder has no table for: ") && page.contains("STIR"), "{page}");
 }
 
 /// Numbers of the profiles in a page, by address.
@@ -263,7 +271,7 @@ fn a_pipeline_that_solves_nothing_has_its_page_too() {
     lab.run("out", AVERAGES, &Settings::default()).unwrap();
     let own = own(&page_of(&lab.path("out")));
     assert!(
-        own.contains("solved for positions") && own.contains("2 profiles") && own.contains("lit 1, seen 2"),
+        own.contains("solves for positions") && own.contains("2 profiles") && own.contains("lit 1, seen 2"),
         "{own}"
     );
 }

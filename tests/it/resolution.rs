@@ -20,7 +20,7 @@ fn a_pulse_is_timed_at_its_bound() {
 }
 
 #[test]
-fn pairs_far_closer_than_the_response_are_told_apart_at_their_bound() {
+fn pairs_far_closer_than_the_response_are_resolved_at_their_bound() {
     for sensor in Sensor::both() {
         let apart_ps = pairs::LIMITS * resolution_limit_ps(&sensor.shape, 100.0);
         let found = pairs::separation(&sensor, apart_ps, 100.0, 300);

@@ -67,7 +67,7 @@ fn drift_is_taken_off_with_its_error() {
 
 /// A cable that was touched: the delay is not followed across the jump, and the jump is reported.
 #[test]
-fn a_jump_is_told_and_not_smoothed() {
+fn a_jump_is_reported_and_not_smoothed() {
     let scene = PHOTODIODE
         .replace("path_sd_m = 0.0001", "path_sd_m = 0.0001\n[[captures.fiducials]]\npath_m = 1.2\nattenuation_od = 4.8\nshots = 100\nruns = 20\nevery_s = 600.0")
         .replace("[captures]", "[instrument.flaws]\ndelay_ps_per_h = 1.0\n[captures]");
@@ -110,7 +110,7 @@ fn pick_up_is_taken_off() {
 
 /// The laser's energy is that of its reference pulse: about 1 for a laser that does not fluctuate.
 #[test]
-fn power_is_told_by_the_reference_pulse() {
+fn power_is_measured_by_the_reference_pulse() {
     let lab = Lab::tiny();
     lab.run("out", up_to_onsets(), &Settings::default()).unwrap();
     let stir: Vec<Stir> = lab.rows("out", "stir");

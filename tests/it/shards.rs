@@ -169,7 +169,7 @@ fn raw_traces_that_are_not_kept_other_parameters_seals_and_rejects() {
 }
 
 #[test]
-fn faults_are_told_with_their_mend() {
+fn faults_are_reported_with_their_fix() {
     let lab = lab();
     assert!(refused(&lab, &["gather", "--out", "none"]).contains("does not exist"));
     assert!(refused(&lab, &shard("0123456789abcdef", "none")).contains("does not exist"));

@@ -47,7 +47,7 @@ fn both_say(lab: &Lab, words: &[&str]) {
     assert!(alike.peek().is_none() || alike.any(|reason| text.contains(reason.as_str())), "{reasons:#?} in:\n{text}");
 }
 
-/// Exit code and messages of a run of the usual pipeline.
+/// Exit code and messages of a run of the usual pipeline; no message comes twice.
 fn run(lab: &Lab, args: &[&str]) -> (i32, String) {
     fs::write(lab.path("pipeline.toml"), ALL_VISIBLE).unwrap();
     let usual = ["run", "pipeline.toml", "--campaign", "campaign", "--out", "out", "--progress", "none"];
@@ -57,7 +57,11 @@ fn run(lab: &Lab, args: &[&str]) -> (i32, String) {
         .current_dir(lab.path(""))
         .output()
         .unwrap();
-    (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
+    let text = String::from_utf8(output.stderr).unwrap();
+    let mut lines: Vec<&str> = text.lines().filter(|line| line.starts_with("warning: ")).collect();
+    lines.sort_unstable();
+    assert!(lines.windows(2).all(|pair| pair[0] != pair[1]), "{text}");
+    (output.status.code().unwrap(), text)
 }
 
 fn edit(lab: &Lab, from: &str, to: &str) {

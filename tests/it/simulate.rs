@@ -187,7 +187,7 @@ fn equal_seeds_give_equal_files_and_scenes_that_cannot_be_are_refused() {
     let [a, b, c] = [1, 1, 2].map(|seed| Lab::of(&text, seed, Format::Trc));
     let bytes = |lab: &Lab| fs::read(lab.campaign().join("raw/scene/s1_L1_P2_C1.trc")).unwrap();
     assert!(bytes(&a) == bytes(&b) && bytes(&a) != bytes(&c));
-    for (from, to, mend) in [
+    for (from, to, fix) in [
         ("snr = 20.0", "", "[laser] is missing"),
         (
             "[captures]",
@@ -207,6 +207,6 @@ fn equal_seeds_give_equal_files_and_scenes_that_cannot_be_are_refused() {
         let error =
             Scene::parse(Path::new("s.toml"), &text.replace("shots = 2\n", "shots = 24\n").replacen(from, to, 1))
                 .unwrap_err();
-        assert!(error.to_string().contains(mend), "{error}");
+        assert!(error.to_string().contains(fix), "{error}");
     }
 }

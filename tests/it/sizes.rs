@@ -74,7 +74,7 @@ fn outcome(lab: &Lab, size_m: f64, bound_m: f64) -> Outcome {
 
 /// Three centimetres: as points, patches are 2.5 times as far off as their bound, and the normalised error is above 3.
 #[test]
-fn sizes_that_nobody_gives_are_told_by_widths() {
+fn sizes_that_are_not_given_are_estimated_from_widths() {
     let outcomes = outcomes(0.03, 0..3);
     eprintln!("{outcomes:#?}");
     let mean = |value: fn(&Outcome) -> f64| outcomes.iter().map(value).sum::<f64>() / outcomes.len() as f64;

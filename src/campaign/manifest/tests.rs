@@ -13,7 +13,7 @@ fn folder_with(text: &str) -> (tempfile::TempDir, Manifest) {
 }
 
 #[test]
-fn what_went_down_with_the_machine_is_recorded_again_and_what_is_damaged_is_told() {
+fn what_went_down_with_the_machine_is_recorded_again_and_damage_is_reported() {
     let (folder, manifest) = folder_with("light");
     manifest.save_without_waiting(folder.path()).unwrap();
     let text = fs::read_to_string(folder.path().join(MANIFEST_FILE)).unwrap();
@@ -94,7 +94,7 @@ fn every_flipped_bit_is_found_and_its_line_named() {
 }
 
 #[test]
-fn the_stamp_tells_that_a_file_was_touched() {
+fn the_stamp_shows_that_a_file_was_touched() {
     let (folder, manifest) = folder_with("light");
     let (path, file) = (Path::new("a.trc"), folder.path().join("a.trc"));
     let content = blake3::hash(b"light");

@@ -71,7 +71,7 @@ fn no_pattern_takes_long() {
 }
 
 #[test]
-fn a_repeated_placeholder_must_agree_and_two_readings_are_told() {
+fn a_repeated_placeholder_must_agree_and_two_readings_are_reported() {
     assert_eq!(read("L{lit}/L{lit}_{shot}.trc", "L04/L4_1.trc"), "lit = 4, shot = 1");
     assert_eq!(read("L{lit}/L{lit}_{shot}.trc", "L4/L5_1.trc"), "no");
     let two = read("{sensor}x{channel}", "axbxc");

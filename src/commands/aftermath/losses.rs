@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use anyhow::Result;
+use periscope::pipeline::plan::Plan;
 use periscope::pipeline::rejects::{kinds, rows, words};
 use periscope::pipeline::run::Outcome;
 use periscope::pipeline::spec::{Spec, Step};
@@ -15,13 +16,18 @@ const SHOWN: usize = 5;
 /// Stages that may answer that there is nothing: patches need not lie on a plane, a wall need not show anything.
 const MAY_BE_EMPTY: [&str; 4] = ["surface", "image", "shape", "mesh"];
 
-/// Prints what is missing from the results. Returns whether anything is.
-pub fn print(spec: &Spec, outcome: &Outcome, shelf: &Shelf) -> Result<bool> {
-    for left_out in &outcome.left_out {
+/// Prints what the plan does not use of its campaigns, with the fix of each.
+pub fn print_left_out(plan: &Plan<'_>) {
+    for left_out in plan.left_out() {
         let campaign = left_out.campaign.display();
         note!("warning: {left_out}");
         note!("  {} `periscope check --campaign {campaign}` lists all.", left_out.cause.fix());
     }
+}
+
+/// Prints what was lost on the way to the results. Returns whether they lack anything, also by what was left out, which
+/// was printed as the run began.
+pub fn print(spec: &Spec, outcome: &Outcome, shelf: &Shelf) -> Result<bool> {
     if outcome.rejects > 0 {
         print_rejects(shelf)?;
     }

@@ -72,6 +72,7 @@ impl Clock {
     }
 
     /// Passes an event.
+    #[inline]
     pub(super) fn event(&mut self, event: u32) -> io::Result<Event> {
         let field = |from: u32, bits: u32| event >> from & ((1 << bits) - 1);
         match self.layout {

@@ -131,6 +131,42 @@ fn more_events_than_a_piece_are_counted() {
     assert_eq!(records[0].1[0], (0..40_000).filter(|event| event % 21 == 0).count() as f64);
 }
 
+/// Many events of T3 mode are counted in a table: as one by one, also in wider bins.
+#[test]
+fn a_table_of_counts_has_those_of_single_events() {
+    let mut state = 1_u32;
+    let mut random = move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state >> 8
+    };
+    let count = 100_000;
+    let pico_harps: Vec<u32> =
+        (0..count).map(|_| pico_harp([1, 2, 4, 15][random() as usize % 4], random() % 3001, random() % 99)).collect();
+    let hydra_harps: Vec<u32> =
+        (0..count).map(|_| hydra_harp(random() / 9 % 2, random() % 64, random() % 2999, random() % 1024)).collect();
+    for (record_type, events) in [(0x1_0303, pico_harps), (0x1_0307, hydra_harps)] {
+        for units in [1, 3] {
+            let (records, values) = described(&ptu(record_type, &events), Some(4.0 * f64::from(units)), None).unwrap();
+            for (record, values) in records.iter().zip(values) {
+                let mut counts = vec![0.0; record.head.samples];
+                let mut clock = Clock::new(Layout::of(record_type).unwrap());
+                for event in &events {
+                    let Event::Photon(channel, time) = clock.event(*event).unwrap() else { continue };
+                    if record.head.channel == Some(channel.to_string()) {
+                        counts[time as usize / units as usize] += 1.0;
+                    }
+                }
+                assert_eq!(values, counts);
+            }
+            assert_eq!(records.len(), if record_type == 0x1_0303 { 3 } else { 64 });
+        }
+    }
+    // A channel that a PicoHarp does not have is named as it is among few events.
+    let mut damaged = vec![pico_harp(1, 3, 0); count];
+    damaged[count - 1] = pico_harp(7, 0, 0);
+    assert!(refusal(&PicoquantPtu, &ptu(0x1_0303, &damaged)).contains("channel 7"));
+}
+
 /// Times count from the last sync pulse, over any number of overflows; what comes before the first is left out.
 #[test]
 fn absolute_times_become_times_after_the_sync() {

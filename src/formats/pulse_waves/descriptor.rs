@@ -104,8 +104,8 @@ impl Sampling {
             }
         };
         if fields.u32(36) != 0 {
-            let mend = "unpack it with `pulsezip`";
-            return Err(FormatError::NotRead { what: "a PulseWaves file with compressed samples", mend });
+            let fix = "unpack it with `pulsezip`";
+            return Err(FormatError::NotRead { what: "a PulseWaves file with compressed samples", fix });
         }
         let code_type = match fields.u16(28) {
             8 => CodeType::U8,
@@ -149,8 +149,8 @@ pub(super) fn read(
         return Err(fields.refuse(16, format!("sampling units of {unit_s} s; write the file again")));
     }
     if fields.u32(20) != 0 && fields.u32(24) != 0 {
-        let mend = "unpack it with `pulsezip`";
-        return Err(FormatError::NotRead { what: "a PulseWaves file with compressed pulses", mend });
+        let fix = "unpack it with `pulsezip`";
+        return Err(FormatError::NotRead { what: "a PulseWaves file with compressed pulses", fix });
     }
     if size < COMPOSITION {
         return Err(fields.refuse(0, format!("a composition of {size} bytes: {COMPOSITION} are the least")));

@@ -82,7 +82,7 @@ impl<'a> Choice<'a> {
         })
     }
 
-    /// Adds what the nearest point may be off by along the surface where the bent field is hollow.
+    /// Adds what the nearest point may be off by along the surface where the bent field is concave.
     pub fn add_slides(&self, scan: &Scan, point: &mut SurfacePoint) {
         let Some(bent) = self.bent else { return };
         let square_m2 = |n: &u32| (self.samples[*n as usize].at - bent.field.at).norm_squared();

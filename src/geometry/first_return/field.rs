@@ -12,7 +12,7 @@ const BEND_SD: f64 = 7.0;
 /// a curvature known to this share: a sphere of a fifth of its distance has five sixths of the curvature of a point.
 const APART: f64 = 2.5;
 const SURE: f64 = 0.07;
-/// Share by which the curvature of lengths to a hollow surface changes over a window.
+/// Share by which the curvature of lengths to a concave surface changes over a window.
 const CHANGE: f64 = 0.3;
 
 /// What part of a surface a point is.
@@ -103,8 +103,8 @@ impl Field {
         bends
     }
 
-    /// Directions in which the surface is hollow, and by how much the nearest point is off along them if the curvature
-    /// of the lengths changes by a share of itself over so many metres about the place. On hollow surfaces the nearest
+    /// Directions in which the surface is concave, and by how much the nearest point is off along them if the curvature
+    /// of the lengths changes by a share of itself over so many metres about the place. On concave surfaces the nearest
     /// point slides several times as far as the wall's point, over parts that are curved otherwise.
     pub fn slides(&self, lit: Option<&Point>, radius_m: f64) -> [(Vector3<f64>, f64); 2] {
         let eigen = self.bend.symmetric_eigen();

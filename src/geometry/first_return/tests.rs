@@ -96,7 +96,7 @@ fn a_fixed_lit_point_shows_the_point_that_reflects() {
 }
 
 #[test]
-fn edges_and_spheres_are_told_apart() {
+fn edges_and_spheres_are_distinguished() {
     let edge = |seen: &Point| Point::new(0.9, seen.y, 0.5);
     for (surface, kind) in [(&edge as &dyn Fn(&Point) -> Point, Kind::Edge), (&sphere, Kind::Smooth)] {
         let mut scan = scan(&wall(32, |_, _| 0.0), None, surface, 2e-4, 5);

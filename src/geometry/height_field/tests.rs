@@ -7,7 +7,7 @@ use super::*;
 use crate::first_return::{FirstLight, Kind};
 use crate::shapes::tests::{COMMON_M, LAW_M, NOISE_M, ZONE_M, normal, smooth};
 
-/// How far points are off that neighbouring places tell: those of hollow surfaces are.
+/// How far points are off that neighbouring places tell: those of concave surfaces are.
 const OFF_M: f64 = 0.02;
 
 /// Sightings of a square metre with 28 x 28 places.
@@ -105,7 +105,7 @@ fn holds(name: &str, nearest: impl Fn(&Point) -> Point) {
 
 /// Points that are off by centimetres have a surface between them that is off by a millimetre.
 #[test]
-fn heights_of_hollow_and_wavy_surfaces_lie_within_their_error_bars() {
+fn heights_of_concave_and_wavy_surfaces_lie_within_their_error_bars() {
     holds("saddle", relief(saddle));
     holds("wavy", relief(wavy));
 }
@@ -118,7 +118,7 @@ fn heights_of_spheres_and_plates_lie_within_their_error_bars() {
 
 /// Edges and a corner do not say how the faces between them lie.
 #[test]
-fn faces_that_no_place_sees_are_not_told() {
+fn faces_that_no_place_sees_are_not_reported() {
     for seed in 0..SEEDS {
         let fields = height_fields(&sightings(seed, &cuboid), &Cancel::never());
         let (squares, _) = off(&fields, &cuboid);

@@ -1,25 +1,21 @@
 //! The answer: where the surfaces are, how sure that is, and what is left open.
 
+use std::collections::BTreeSet;
+
 use maud::{Markup, html};
 
 use super::words::{count, metres, millimetres, sig};
 use super::{image, space};
 use crate::report::Report;
 use crate::report::scene::{Placed, Scene};
+use crate::tables::Ambiguity;
 
 /// Patches that a sentence lists at most.
 const LISTED: usize = 12;
 
 /// The section.
 pub fn section(report: &Report) -> Markup {
-    let Some(scene) = &report.scene else {
-        return html! {
-            section #answer {
-                h2 { "The answer" }
-                p { "No stage of this pipeline solved for positions. What it measured stands below." }
-            }
-        };
-    };
+    let Some(scene) = &report.scene else { return html! {} };
     html! {
         section #answer {
             h2 { "Where the surfaces are" }
@@ -54,7 +50,12 @@ pub fn summary(scene: &Scene) -> String {
             parts.push(format!("{} {kind}{sd}", of_kind.len()));
         }
     }
-    let found = if parts.is_empty() { "no patch".to_owned() } else { parts.join(", ") };
+    let found = match parts.as_slice() {
+        // Of given patches none was to be found.
+        [] if !given.is_empty() => String::new(),
+        [] => "Patches found: no patch.".to_owned(),
+        parts => format!("Patches found: {}.", parts.join(", ")),
+    };
     let given = match given.len() {
         0 => String::new(),
         anchors => format!(" {} given by campaign.toml.", count(anchors, "patch is", "patches are")),
@@ -63,7 +64,7 @@ pub fn summary(scene: &Scene) -> String {
         0 => String::new(),
         points => format!(" {} of a hidden surface.", count(points, "point", "points")),
     };
-    format!("Patches found: {found}.{given}{surface}")
+    format!("{found}{given}{surface}").trim_start().to_owned()
 }
 
 fn open_questions(scene: &Scene) -> Markup {
@@ -73,10 +74,13 @@ fn open_questions(scene: &Scene) -> Markup {
     html! {
         h3 #open { "What is left open" }
         ul.notes {
-            @for open in &scene.ambiguities {
+            @for alike in alike(&scene.ambiguities) {
+                @let open = alike[0];
+                @let patches: BTreeSet<i32> = alike.iter().flat_map(|open| &open.patches).copied().collect();
                 li {
                     strong { (open.kind) }
-                    @if !open.patches.is_empty() { " (" (count_of(&open.patches)) ")" }
+                    @if !patches.is_empty() { " (" (count_of(&Vec::from_iter(patches))) ")" }
+                    @if alike.len() > 1 { ", " (alike.len()) " times" }
                     ": " (open.meaning)
                     @if let Some(sd_m) = open.sd_m { " (off by up to " (millimetres(sd_m)) ", one standard deviation)" }
                 }
@@ -91,6 +95,20 @@ fn open_questions(scene: &Scene) -> Markup {
             }
         }
     }
+}
+
+/// Ambiguities in groups of one kind, meaning and size, each where its first one is.
+fn alike(ambiguities: &[Ambiguity]) -> Vec<Vec<&Ambiguity>> {
+    let mut groups: Vec<Vec<&Ambiguity>> = Vec::new();
+    for open in ambiguities {
+        let is_alike =
+            |other: &Ambiguity| (&*open.kind, &*open.meaning, open.sd_m) == (&*other.kind, &*other.meaning, other.sd_m);
+        match groups.iter_mut().find(|group| is_alike(group[0])) {
+            Some(group) => group.push(open),
+            None => groups.push(vec![open]),
+        }
+    }
+    groups
 }
 
 /// Patches by their numbers; of many only how many.

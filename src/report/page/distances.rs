@@ -12,27 +12,23 @@ use crate::report::distances::Distances;
 
 /// The matrix of distances.
 pub fn section(report: &Report) -> Markup {
+    let Some(distances) = &report.distances else { return html! {} };
     html! {
         section #distances {
             h2 { "Distances between patches" }
-            @match &report.distances {
-                None => p { "This pipeline makes no table of distances: it solves for positions from path lengths." },
-                Some(distances) => {
-                    div.pair {
-                        (figure("distance-matrix", 420, &matrix(distances, "m", |(distance_m, _)| short(distance_m, 5)), &alternative(distances, "Distances", |pair| pair.0), &html! {
-                            "Distances in metres; 0 is source and camera. "
-                            @match distances.gaps() {
-                                0 => "No pair is missing.",
-                                gaps => { (count(gaps, "pair is", "pairs are")) " missing (blank)." },
-                            }
-                        }))
-                        (figure("distance-errors", 420, &matrix(distances, "mm", |(_, sd_m)| short(1e3 * sd_m, 3)), &alternative(distances, "Standard deviations of distances", |pair| pair.1), &html! {
-                            "Their standard deviations in millimetres. "
-                            @if distances.patches.len() < distances.all { "The first " (distances.patches.len()) " of " (distances.all) " patches. " }
-                            "Table " code { (distances.heading) } "."
-                        }))
+            div.pair {
+                (figure("distance-matrix", 420, &matrix(distances, "m", |(distance_m, _)| short(distance_m, 5)), &alternative(distances, "Distances", |pair| pair.0), &html! {
+                    "Distances in metres; 0 is source and camera. "
+                    @match distances.gaps() {
+                        0 => "No pair is missing.",
+                        gaps => { (count(gaps, "pair is", "pairs are")) " missing (blank)." },
                     }
-                }
+                }))
+                (figure("distance-errors", 420, &matrix(distances, "mm", |(_, sd_m)| short(1e3 * sd_m, 3)), &alternative(distances, "Standard deviations of distances", |pair| pair.1), &html! {
+                    "Their standard deviations in millimetres. "
+                    @if distances.patches.len() < distances.all { "The first " (distances.patches.len()) " of " (distances.all) " patches. " }
+                    "Table " code { (distances.heading) } "."
+                }))
             }
         }
     }

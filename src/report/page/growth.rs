@@ -2,10 +2,10 @@
 
 use maud::{Markup, html};
 use plotly::common::{Line, Marker, Mode};
-use plotly::layout::{Axis, AxisType, Layout, Legend, Margin};
+use plotly::layout::{Axis, AxisType, Layout, Margin};
 use plotly::{Plot, Scatter};
 
-use super::plot::{HIDDEN, VISIBLE, figure, short};
+use super::plot::{HIDDEN, VISIBLE, figure, legend_above, short};
 use super::words::{count, millimetres};
 use crate::report::Report;
 use crate::report::growth::Step;
@@ -71,11 +71,10 @@ fn plot(steps: &[Step]) -> Plot {
             scatter.hover_text_array(text).hover_template("%{hovertext}<br>%{x} shots: %{y} mm<extra></extra>"),
         );
     }
-    let legend = Legend::new().orientation(plotly::common::Orientation::Horizontal).y(1.12);
     let layout = Layout::new()
         .x_axis(Axis::new().title("valid shots, all profiles"))
         .y_axis(Axis::new().title("median sd (mm)").type_(AxisType::Log))
-        .legend(legend);
+        .legend(legend_above());
     plot.set_layout(layout.margin(Margin::new().left(65).right(10).top(30).bottom(50)));
     plot
 }

@@ -31,27 +31,16 @@ const SCRIPT: &str =
 pub fn page(report: &Report) -> String {
     let campaigns: Vec<&str> = report.provenance.campaigns().map(|(name, _)| name).collect();
     let title = if campaigns.is_empty() { report.folder.clone() } else { campaigns.join(", ") };
+    let present = sections(report);
     let body = html! {
         a.skip href="#main" { "Skip to the answer" }
         header {
             h1 { (title) }
             p.lead { (lead(report)) }
             (verdict::verdict(report))
-            nav aria-label="sections" { @for (id, name) in sections(report) { a href={ "#" (id) } { (name) } } }
+            nav aria-label="sections" { @for section in &present { a href={ "#" (section.id) } { (section.name) } } }
         }
-        main #main {
-            (verdict::decisions(report))
-            (answer::section(report))
-            (profiles::section(report))
-            (residuals::section(report))
-            (patches::section(report))
-            (stir::section(report))
-            (sensors::responses(report))
-            (distances::section(report))
-            (growth::section(report))
-            (provenance::rejects(report))
-            (provenance::section(report))
-        }
+        main #main { @for section in &present { (section.content) } }
         footer { "Made by Periscope " (env!("CARGO_PKG_VERSION")) " from " code { (report.folder) } ". Every number stands in its tables." }
     };
     let nonce = nonce(&body);
@@ -76,28 +65,35 @@ pub fn page(report: &Report) -> String {
     page.into_string()
 }
 
-/// Addresses and names of the sections that there are.
-fn sections(report: &Report) -> Vec<(&'static str, &'static str)> {
+/// A part of the page.
+struct Section {
+    id: &'static str,
+    name: &'static str,
+    content: Markup,
+}
+
+/// The sections that have something to show. What is missing from a folder of results is named in the last one.
+fn sections(report: &Report) -> Vec<Section> {
+    let section = |id, name, content| Section { id, name, content };
     let mut sections = vec![
-        ("decisions", "Decisions"),
-        ("answer", "Answer"),
-        ("profiles", "Profiles"),
-        ("residuals", "Residuals"),
-        ("patches", "Patches"),
-        ("stir", "STIR"),
-        ("response", "Sensors"),
-        ("distances", "Distances"),
-        ("growth", "Growth"),
-        ("rejects", "Rejected"),
-        ("provenance", "Origin"),
+        section("decisions", "Decisions", verdict::decisions(report)),
+        section("answer", "Answer", answer::section(report)),
+        section("profiles", "Profiles", profiles::section(report)),
+        section("residuals", "Residuals", residuals::section(report)),
+        section("patches", "Patches", patches::section(report)),
+        section("stir", "STIR", stir::section(report)),
+        section("response", "Sensors", sensors::responses(report)),
+        section("distances", "Distances", distances::section(report)),
+        section("growth", "Growth", growth::section(report)),
+        section("rejects", "Rejected", provenance::rejects(report)),
     ];
-    let has_decisions = report.scene.as_ref().is_some_and(|scene| !scene.decisions.is_empty());
-    sections.retain(|(id, _)| match *id {
-        "decisions" => has_decisions,
-        "patches" => report.scene.is_some(),
-        "growth" => report.growth.steps.len() > 1,
-        _ => true,
-    });
+    let is_empty = |section: &Section| section.content.0.is_empty();
+    // The answer grows only where there are several runs.
+    let missing = sections.iter().filter(|section| is_empty(section) && section.id != "growth");
+    let absent: Vec<&str> = missing.map(|section| section.name).collect();
+    let origin = provenance::section(report, &absent);
+    sections.retain(|section| !is_empty(section));
+    sections.push(section("provenance", "Origin", origin));
     sections
 }
 
@@ -117,6 +113,7 @@ fn lead(report: &Report) -> Markup {
     html! {
         @match &report.scene {
             Some(scene) => { (answer::summary(scene)) }
+            None if report.provenance.tables.is_empty() => "This result folder has no tables."
             None => {
                 (words::count(report.arrivals.iter().count(), "onset", "onsets")) " in "
                 (words::count(report.waveforms.all, "profile", "profiles")) "."

@@ -1,7 +1,9 @@
 // Draws each plot when it comes into view, in the colours of the page; leads from a patch to its onsets, and from an onset to its profile.
 (() => {
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const parsed = (id) => JSON.parse(document.getElementById(id).textContent);
+  // Data name the colours of the light page.
+  const themes = { "#256fae": "--visible", "#8453c8": "--mirror" };
+  const parsed = (id) => JSON.parse(document.getElementById(id).textContent.replace(/#256fae|#8453c8/g, (given) => colour(themes[given])));
   const config = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
   const drawn = new Map(); // plot element -> what makes its figure
 
@@ -55,11 +57,14 @@
   const draw = async (plot) => {
     if (drawn.has(plot)) return;
     if (plot === viewer) { choose(choice.value); return; }
-    const figure = parsed(plot.id + "-data");
-    // A narrow figure shows as much of the scene from farther away.
-    const eye = figure.layout.scene?.camera?.eye;
-    if (eye && plot.clientWidth < 600) for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
-    await show(plot, figure);
+    const made = () => {
+      const figure = parsed(plot.id + "-data");
+      // A narrow figure shows as much of the scene from farther away.
+      const eye = figure.layout.scene?.camera?.eye;
+      if (eye && plot.clientWidth < 600) for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
+      return figure;
+    };
+    await show(plot, made(), made);
     if (plot.id !== "scene") return;
     plot.on("plotly_click", ({ points }) => {
       const id = points[0].id ?? points[0].data.ids?.[points[0].pointNumber];

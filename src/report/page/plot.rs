@@ -2,6 +2,8 @@
 
 use maud::{Markup, PreEscaped, html};
 use plotly::Plot;
+use plotly::common::{Anchor, Orientation};
+use plotly::layout::Legend;
 
 /// Patches that laser and sensor see.
 pub const VISIBLE: &str = "#256fae";
@@ -35,6 +37,11 @@ pub fn figure(id: &str, height_px: u32, plot: &Plot, alternative: &str, caption:
             figcaption { (caption) }
         }
     }
+}
+
+/// A legend above the plot. On a phone it has several lines, which grow away from the plot.
+pub fn legend_above() -> Legend {
+    Legend::new().orientation(Orientation::Horizontal).y(1.02).y_anchor(Anchor::Bottom)
 }
 
 /// JSON for the page's script; texts in it cannot end the element.

@@ -35,7 +35,7 @@ fn name((campaign, sensor, lit, seen): &CaptureKey, is_with_campaign: bool) -> S
 pub fn section(report: &Report) -> Markup {
     let waveforms = &report.waveforms;
     let Some(heading) = waveforms.heading.as_ref().filter(|_| !waveforms.chosen.is_empty()) else {
-        return html! { section #profiles { h2 { "Profiles" } p { "This result folder keeps no mean profiles of the scene (table " code { "profiles" } ")." } } };
+        return html! {};
     };
     let several = waveforms.chosen.iter().any(|waveform| waveform.capture.0 != waveforms.chosen[0].capture.0);
     let first = waveforms.telling().unwrap_or(&waveforms.chosen[0]);

@@ -14,7 +14,7 @@ pub fn rejects(report: &Report) -> Markup {
             h2 { "What was rejected" }
             @let left_out = provenance.last_run.as_ref().map_or(&[][..], |run| &run.left_out);
             @if provenance.rejects == 0 && left_out.is_empty() {
-                p { "Nothing: every record of the campaign went in." }
+                p { @if provenance.is_done() { "Nothing: every record of the campaign went in." } @else { "Nothing, until the last run ended." } }
             }
             @for line in left_out { p { (line) "." } }
             @if provenance.rejects > 0 {
@@ -44,38 +44,45 @@ pub fn rejects(report: &Report) -> Markup {
     }
 }
 
-/// Runs, tables and their lineage.
-pub fn section(report: &Report) -> Markup {
+/// Runs, tables and their lineage, and the sections that are `absent` for want of a table.
+pub fn section(report: &Report, absent: &[&str]) -> Markup {
     let provenance = &report.provenance;
     html! {
         section #provenance {
             h2 { "Where it comes from" }
             @if let Some(run) = &provenance.last_run { (last_run(run, provenance.runs)) }
             @if let Some(run) = &provenance.last_work { (times(run)) }
-            div.scroll tabindex="0" role="region" aria-label="tables" {
-                table.numbers {
-                    thead { tr { th { "table" } th.text { "stage" } th.text { "from" } th.text { "parameters" } th { "rows" } th { "size" } th { "parts" } th { "lineage" } } }
-                    tbody {
-                        @for table in &provenance.tables {
-                            tr {
-                                td.text { (table.view) }
-                                td.text { (table.stage) }
-                                td.text { @for (i, (name, heading)) in table.inputs.iter().enumerate() { @if i > 0 { br; } @if name != "from" && name != heading { (name) " = " } (heading) } }
-                                td.text.params {
-                                    @let params = changed(&table.params);
-                                    @if !params.is_empty() { details { summary { (count(params.len(), "value", "values")) } @for (name, value) in &params { div { (name) " = " (value) } } } }
-                                }
-                                td { (table.rows) }
-                                td { (bytes(table.bytes)) }
-                                td { (table.parts) }
-                                td { code { (table.lineage) } }
+            @if !absent.is_empty() { p { "This result folder has no table for: " (absent.join(", ")) "." } }
+            @if !provenance.tables.is_empty() { (tables(report)) }
+        }
+    }
+}
+
+fn tables(report: &Report) -> Markup {
+    html! {
+        div.scroll tabindex="0" role="region" aria-label="tables" {
+            table.numbers {
+                thead { tr { th { "table" } th.text { "stage" } th.text { "from" } th.text.params { "parameters" } th { "rows" } th { "size" } th { "parts" } th { "lineage" } } }
+                tbody {
+                    @for table in &report.provenance.tables {
+                        tr {
+                            td.text { (table.view) }
+                            td.text { (table.stage) }
+                            td.text { @for (i, (name, heading)) in table.inputs.iter().enumerate() { @if i > 0 { br; } @if name != "from" && name != heading { (name) " = " } (heading) } }
+                            td.text.params {
+                                @let params = changed(&table.params);
+                                @if !params.is_empty() { details { summary { (count(params.len(), "value", "values")) } @for (name, value) in &params { div { (name) " = " (value) } } } }
                             }
+                            td { (table.rows) }
+                            td { (bytes(table.bytes)) }
+                            td { (table.parts) }
+                            td { code { (table.lineage) } }
                         }
                     }
                 }
             }
-            p.note { "Which change made which difference: " code { "periscope diff " (report.folder) " OTHER" } "; whether every byte is as it was written: " code { "periscope verify " (report.folder) } "." }
         }
+        p.note { "Which change made which difference: " code { "periscope diff " (report.folder) " OTHER" } "; whether every byte is as it was written: " code { "periscope verify " (report.folder) } "." }
     }
 }
 

@@ -3,11 +3,11 @@
 
 use maud::{Markup, html};
 use plotly::common::{DashType, Line, Marker, Mode};
-use plotly::layout::{Axis, AxisType, BarMode, Layout, Legend, Margin};
+use plotly::layout::{Axis, AxisType, BarMode, Layout, Margin};
 use plotly::{Bar, Plot, Scatter};
 
 use super::onsets;
-use super::plot::{HIDDEN, PALE, VISIBLE, bounces_text, figure, of_bounces, short};
+use super::plot::{HIDDEN, PALE, VISIBLE, bounces_text, figure, legend_above, of_bounces, short};
 use super::words::{count, sig};
 use crate::report::Report;
 use crate::report::arrivals::path_text;
@@ -20,33 +20,29 @@ const BAND: f64 = 2.0;
 
 /// The section.
 pub fn section(report: &Report) -> Markup {
+    let Some(residuals) = &report.residuals else { return html! {} };
     html! {
         section #residuals {
             h2 { "Residuals: what the solution leaves over" }
-            @match &report.residuals {
-                None => p { "No onset has a residual: nothing predicted when it should come." },
-                Some(residuals) => {
-                    div.pair {
-                        (figure("residual-histogram", HEIGHT_PX, &histogram(residuals), &alternative(residuals), &html! {
-                            (count(residuals.count, "residual", "residuals")) " in standard deviations; their root mean square is "
-                            strong { (sig(residuals.rms, 3)) } ". Error bars of the right size make it near 1. The line is the normal distribution."
+            div.pair {
+                (figure("residual-histogram", HEIGHT_PX, &histogram(residuals), &alternative(residuals), &html! {
+                    (count(residuals.count, "residual", "residuals")) " in standard deviations; their root mean square is "
+                    strong { (sig(residuals.rms, 3)) } ". Error bars of the right size make it near 1. The line is the normal distribution."
+                }))
+                (figure("residual-quantiles", HEIGHT_PX, &quantiles(residuals), &quantile_alternative(residuals), &html! {
+                    "Normal quantile plot: residuals by rank against what a normal distribution gives. On the line error bars are right; steeper they are too small; ends that leave the dashed band are outliers."
+                }))
+                @for (id, by) in [("residual-lit", By::Lit), ("residual-seen", By::Seen), ("residual-flight", By::Flight), ("residual-day", By::Day)] {
+                    @if by != By::Day || dated(&residuals.points) {
+                        (figure(id, HEIGHT_PX, &course(&residuals.points, by), &course_alternative(&residuals.points, by), &html! {
+                            (by.caption())
+                            @if residuals.points.len() < residuals.count { " " (residuals.points.len()) " of them, evenly spread." }
                         }))
-                        (figure("residual-quantiles", HEIGHT_PX, &quantiles(residuals), &quantile_alternative(residuals), &html! {
-                            "Normal quantile plot: residuals by rank against what a normal distribution gives. On the line error bars are right; steeper they are too small; ends that leave the dashed band are outliers."
-                        }))
-                        @for (id, by) in [("residual-lit", By::Lit), ("residual-seen", By::Seen), ("residual-flight", By::Flight), ("residual-day", By::Day)] {
-                            @if by != By::Day || dated(&residuals.points) {
-                                (figure(id, HEIGHT_PX, &course(&residuals.points, by), &course_alternative(&residuals.points, by), &html! {
-                                    (by.caption())
-                                    @if residuals.points.len() < residuals.count { " " (residuals.points.len()) " of them, evenly spread." }
-                                }))
-                            }
-                        }
                     }
-                    @if !dated(&residuals.points) { p.note { "The records do not say when they were taken, so that there is no plot by time of day." } }
-                    (worst(report, residuals))
                 }
             }
+            @if !dated(&residuals.points) { p.note { "The records do not say when they were taken, so that there is no plot by time of day." } }
+            (worst(report, residuals))
         }
     }
 }
@@ -205,9 +201,8 @@ fn course(points: &[Point], by: By) -> Plot {
             Scatter::new(x, y).mode(Mode::Markers).name(bounces_text(bounces)).marker(marker).hover_text_array(text);
         plot.add_trace(scatter.hover_template("%{hovertext}<br>%{y:.2f} sd<extra></extra>"));
     }
-    let legend = Legend::new().orientation(plotly::common::Orientation::Horizontal).y(1.12);
     let y_axis = Axis::new().title("residual (standard deviations)");
-    let layout = Layout::new().x_axis(by.axis()).y_axis(y_axis).legend(legend).show_legend(by == By::Lit);
+    let layout = Layout::new().x_axis(by.axis()).y_axis(y_axis).legend(legend_above()).show_legend(by == By::Lit);
     plot.set_layout(layout.margin(Margin::new().left(55).right(10).top(30).bottom(50)));
     plot
 }

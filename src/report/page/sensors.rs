@@ -5,7 +5,7 @@ use plotly::common::{Line, Mode};
 use plotly::layout::{Axis, Layout, Margin};
 use plotly::{Plot, Scatter};
 
-use super::plot::{HIDDEN, MIRROR, PALE, VISIBLE, figure, short};
+use super::plot::{HIDDEN, MIRROR, PALE, VISIBLE, figure, legend_above, short};
 use super::words::{count, sig};
 use crate::report::Report;
 use crate::report::responses::Response;
@@ -15,10 +15,12 @@ const DIGITS: i32 = 5;
 
 /// The sensors' responses.
 pub fn responses(report: &Report) -> Markup {
+    if report.responses.is_empty() {
+        return html! {};
+    }
     html! {
         section #response {
             h2 { "The sensors' own response" }
-            @if report.responses.is_empty() { p { "This result folder keeps no calibration." } }
             @if let Some(Response { heading, .. }) = report.responses.first() {
                 (figure("response-plot", 340, &response_plot(&report.responses), &alternative(&report.responses), &html! {
                     "Impulse response, its extremum at time 0. Table " code { (heading) } "."
@@ -66,7 +68,10 @@ fn response_plot(responses: &[Response]) -> Plot {
     }
     let layout = Layout::new().x_axis(Axis::new().title("time (ps)")).y_axis(Axis::new().title("response"));
     plot.set_layout(
-        layout.show_legend(responses.len() > 1).margin(Margin::new().left(60).right(10).top(10).bottom(50)),
+        layout
+            .show_legend(responses.len() > 1)
+            .legend(legend_above())
+            .margin(Margin::new().left(60).right(10).top(30).bottom(50)),
     );
     plot
 }

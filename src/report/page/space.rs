@@ -71,7 +71,8 @@ fn caption(scene: &Scene) -> Markup {
     html! {
         "Drag to turn, scroll to come nearer, click a patch for its onsets, click the legend to hide things. "
         @if scene.patches.iter().any(|placed| placed.semi_axes_m.is_some()) {
-            "Ellipsoids are two standard deviations, drawn " strong { (sig(scene.ellipsoid_factor, 3)) " times" } " their size. "
+            "Ellipsoids are two standard deviations"
+            @if scene.ellipsoid_factor == 1.0 { ", true to scale. " } @else { ", drawn " strong { (sig(scene.ellipsoid_factor, 3)) " times" } " their size. " }
         }
         @if !scene.footprints.is_empty() { "Disks: " (scene.footprints.len()) " patches whose size and direction are known, true to scale. " }
         @if scene.surface_points > 0 {

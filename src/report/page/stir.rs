@@ -3,13 +3,12 @@
 use maud::{Markup, html};
 use plotly::common::{ColorBar, ColorScale, ColorScalePalette, Line, Marker, Mode, Pad, Title, Visible};
 use plotly::layout::{
-    Axis, AxisType, Layout, Legend, Margin, Slider, SliderCurrentValue, SliderCurrentValueXAnchor, SliderMethod,
-    SliderStep,
+    Axis, AxisType, Layout, Margin, Slider, SliderCurrentValue, SliderCurrentValueXAnchor, SliderMethod, SliderStep,
 };
 use plotly::{HeatMap, Plot, Scatter};
 use serde_json::json;
 
-use super::plot::{bounces_text, figure, of_bounces, short};
+use super::plot::{bounces_text, figure, legend_above, of_bounces, short};
 use super::words::count;
 use crate::history::behind::OnsetBehind;
 use crate::report::Report;
@@ -22,23 +21,19 @@ const DIGITS: i32 = 5;
 
 /// Images of the space-time impulse response.
 pub fn section(report: &Report) -> Markup {
+    let Some(stir) = &report.stir else { return html! {} };
     html! {
         section #stir {
             h2 { "The space-time impulse response (STIR)" }
-            @match &report.stir {
-                None => p { "This result folder keeps no deconvolved profiles (table " code { "stir" } ")." },
-                Some(stir) => {
-                    (figure("stir-plot", stir_height(stir), &stir_plot(stir), &alternative(stir), &html! {
-                        "The space-time impulse response, the sensor's own response undone: each row is a seen patch, the slider is the lit one. "
-                        "Brightness is signal over noise, as a power of ten; circles are onsets, coloured by their bounces. "
-                        @if stir.images.len() < stir.lit {
-                            (stir.images.len()) " of " (count(stir.lit, "lit patch", "lit patches")) " are embedded; the others: "
-                            code { "SELECT * FROM '" (report.folder) "/" (stir.heading) "/*.parquet' WHERE lit = 1" } ". "
-                        }
-                        "Table " code { (stir.heading) } "."
-                    }))
+            (figure("stir-plot", stir_height(stir), &stir_plot(stir), &alternative(stir), &html! {
+                "The space-time impulse response, the sensor's own response undone: each row is a seen patch, the slider is the lit one. "
+                "Brightness is signal over noise, as a power of ten; circles are onsets, coloured by their bounces. "
+                @if stir.images.len() < stir.lit {
+                    (stir.images.len()) " of " (count(stir.lit, "lit patch", "lit patches")) " are embedded; the others: "
+                    code { "SELECT * FROM '" (report.folder) "/" (stir.heading) "/*.parquet' WHERE lit = 1" } ". "
                 }
-            }
+                "Table " code { (stir.heading) } "."
+            }))
         }
     }
 }
@@ -55,7 +50,7 @@ fn alternative(stir: &Stir) -> String {
 
 fn stir_height(stir: &Stir) -> u32 {
     let rows = stir.images.iter().map(|image| image.seen.len()).max().unwrap_or(0) as u32;
-    (220 + 14 * rows).clamp(320, 720)
+    (280 + 14 * rows).clamp(380, 780)
 }
 
 fn stir_plot(stir: &Stir) -> Plot {
@@ -93,15 +88,14 @@ fn stir_plot(stir: &Stir) -> Plot {
     let slider = Slider::new()
         .active(0)
         .current_value(SliderCurrentValue::new().prefix("lit ").x_anchor(SliderCurrentValueXAnchor::Right))
-        .pad(Pad::new(45, 10, 0))
+        .pad(Pad::new(70, 10, 0))
         .steps(steps);
     let x_axis = Axis::new().title("time of flight (ps)").tick_format(",~f");
     let y_axis = Axis::new().title("seen patch").type_(AxisType::Category);
-    let legend = Legend::new().orientation(plotly::common::Orientation::Horizontal).y(1.12);
     let layout = Layout::new()
         .x_axis(x_axis)
         .y_axis(y_axis)
-        .legend(legend)
+        .legend(legend_above())
         .margin(Margin::new().left(60).right(10).top(30).bottom(50));
     plot.set_layout(if stir.images.len() > 1 { layout.sliders(vec![slider]) } else { layout });
     plot

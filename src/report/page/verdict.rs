@@ -9,7 +9,7 @@ use crate::report::verdict::{Goodness, Word};
 
 /// Reasons that are listed at most.
 const REASONS: usize = 6;
-/// Smaller and larger chances are not told apart.
+/// Smaller and larger chances are not distinguished.
 const LEAST_CHANCE: f64 = 1e-6;
 const MOST_CHANCE: f64 = 0.99;
 
@@ -31,7 +31,7 @@ pub fn verdict(report: &Report) -> Markup {
             }
             dl {
                 @if let Some(goodness) = &verdict.goodness { dt { "chi-square per degree of freedom" } dd { (fit(goodness)) } }
-                dt { "left out" } dd { (left_out(report)) }
+                @if let Some(left_out) = left_out(report) { dt { "left out" } dd { (left_out) } }
                 @if let Some(scene) = &report.scene { dt { "ambiguous" } dd { (ambiguous(scene)) } }
             }
         }
@@ -49,7 +49,8 @@ fn fit(goodness: &Goodness) -> Markup {
     }
 }
 
-fn left_out(report: &Report) -> Markup {
+/// `None` where that is not known: the last run ended before it had left out anything.
+fn left_out(report: &Report) -> Option<Markup> {
     let onsets = || report.arrivals.offered();
     let contradicting = onsets().filter(|onset| onset.used == Some(false)).count();
     let pathless = report.arrivals.iter().filter(|onset| onset.path.is_none()).count();
@@ -68,10 +69,13 @@ fn left_out(report: &Report) -> Markup {
     if files > 0 {
         parts.push(format!("{} for files that no table is made from", count(files, "reason", "reasons")));
     }
-    html! {
-        @if parts.is_empty() { "nothing" } @else { (parts.join(", ")) }
-        @if rejects + files > 0 { " (" a href="#rejects" { "list" } ")" }
-    }
+    let is_known = !parts.is_empty() || report.provenance.is_done();
+    is_known.then(|| {
+        html! {
+            @if parts.is_empty() { "nothing" } @else { (parts.join(", ")) }
+            @if rejects + files > 0 { " (" a href="#rejects" { "list" } ")" }
+        }
+    })
 }
 
 fn ambiguous(scene: &Scene) -> Markup {
@@ -96,7 +100,7 @@ pub fn decisions(report: &Report) -> Markup {
         @if !rows.is_empty() {
             section #decisions {
                 h2 { "Decisions that the run took" }
-                div.scroll tabindex="0" role="region" aria-label="decisions" {
+                div.scroll.whole tabindex="0" role="region" aria-label="decisions" {
                     table.words {
                         thead { tr { th.text { "choice" } th.text { "chosen" } th.text { "evidence" } th.text { "next best" } th.text { "what would change it" } } }
                         tbody {

@@ -117,7 +117,7 @@ fn the_period_is_found_at_its_bound() {
 }
 
 #[test]
-fn noise_has_no_period_and_a_single_period_tells_none() {
+fn noise_has_no_period_and_a_single_period_shows_none() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut false_alarms = 0;
     for _ in 0..20 {

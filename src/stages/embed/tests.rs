@@ -59,7 +59,7 @@ fn known_patches_are_passed_on_and_hidden_ones_placed_from_their_distances() {
 
 /// The wall alone leaves two places; the one on the laser's side is chosen.
 #[test]
-fn a_wall_leaves_a_mirror_image_which_is_told() {
+fn a_wall_leaves_a_mirror_image_which_is_reported() {
     let (points, truth) = (walls(), Point::new(0.3, 1.2, 0.1));
     let mirrored = Point::new(0.3, 2.8, 0.1);
     let mut patches = patches(&points);

@@ -164,7 +164,7 @@ pub fn read_head(
         if goes_on && is_begun && !is_primed(is_begun)? {
             let file = range[0].1.exposure.file.display();
             return Err(StageError::Indivisible(format!(
-                "{file}: its first shots do not tell by what to judge others"
+                "{file}: its first shots do not determine the levels that later shots are judged by"
             )));
         }
         if is_begun {

@@ -141,11 +141,11 @@ pub(super) fn rejections(
 
 fn in_line(visible: usize, dimensions: usize) -> String {
     let (line, turn, place) = if dimensions == 2 {
-        ("in one point", "that point", "another place")
+        ("in one point", "that point", "in another place")
     } else {
         ("in one line", "that line", "off that line")
     };
     format!(
-        "the {visible} visible patches with known places lie {line}: hidden patches are known but for a turn about {turn}, and are not looked for;          light and see a patch in {place}"
+        "the {visible} visible patches with known places lie {line}: hidden patches are known but for a turn about {turn}, and are not looked for; light and see a patch {place}"
     )
 }

@@ -288,13 +288,13 @@ impl Solved {
     /// What a user should know: ranges that could not be had, or sums that contradict one another.
     pub fn rejections(&self, campaign: &Name, with_places: bool) -> Vec<Rejection> {
         let lost = self.lost.iter().map(|(patch, onsets)| {
-            let (lacks, mend) = if with_places {
+            let (lacks, fix) = if with_places {
                 ("has no position with a covariance in the given `patches`", "capture more pairs with it")
             } else {
                 ("has no first bounce where the laser is", "capture lit and seen there, or give `patches` (`with`)")
             };
             format!(
-                "patch {patch} {lacks}, so {onsets} third bounces over it and hidden patches are left out here: {mend}; `refine` takes them as \
+                "patch {patch} {lacks}, so {onsets} third bounces over it and hidden patches are left out here: {fix}; `refine` takes them as \
                  they are"
             )
         });

@@ -49,7 +49,7 @@ fn reasons(outcome: &Outcome<Distance>) -> Vec<&str> {
 }
 
 #[test]
-fn sensors_apart_from_the_laser_are_left_out_and_told_of() {
+fn sensors_apart_from_the_laser_are_left_out_and_reported() {
     let paths: [&[PatchId]; 9] = [&[1], &[2], &[3], &[4], &[1, 2], &[2, 3], &[4, 3], &[4, 1, 2], &[1, 4]];
     let alone = labels("near", 0.0, &paths);
     let both = [alone.clone(), labels("aside", 0.3, &paths)].concat();
@@ -81,7 +81,7 @@ fn a_campaign_without_a_sensor_at_the_laser_is_refused() {
 
 /// Patches 1 and 2 lit, 2 to 4 seen: only 2 has a first bounce.
 #[test]
-fn every_patch_without_first_bounce_is_told_of_once() {
+fn every_patch_without_first_bounce_is_reported_once() {
     let paths: [&[PatchId]; 5] = [&[2], &[1, 2], &[1, 3], &[2, 3], &[2, 5]];
     let context = context(&[("near", "laser")]).unwrap();
     let outcome = Range {}.apply(&context, labels("near", 0.0, &paths)).unwrap();

@@ -213,10 +213,10 @@ fn what_cannot_be_asked_is_refused() {
     let text = context.err().unwrap().to_string();
     assert!(text.contains("campaign `c` is in flatland"), "{text}");
     let groups = |group: Vec<i32>| Surface { groups: Some(vec![vec![1, 2, 3], group]), ..Surface::default() };
-    for (group, mend) in
+    for (group, fix) in
         [(vec![4, 5, 6, 4], "group 2 names a patch twice"), (vec![4, 5], "group 2 has fewer than 3 patches")]
     {
         let Conflict(key, why) = groups(group).conflict().unwrap();
-        assert!(key == "groups" && why.contains(mend), "{key}: {why}");
+        assert!(key == "groups" && why.contains(fix), "{key}: {why}");
     }
 }

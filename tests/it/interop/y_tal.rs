@@ -28,7 +28,7 @@ static PYTHON: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
         // Not by `eprintln!`, which the test harness swallows: a test that looked at nothing must not pass in silence.
         let _ = writeln!(
             std::io::stderr(),
-            "NOT TESTED against y-tal: no Python has y-tal, scipy, plyfile and laspy; mend: python3 -m venv {0} && {0}/bin/pip install y-tal scipy plyfile laspy",
+            "NOT TESTED against y-tal: no Python has y-tal, scipy, plyfile and laspy; fix: python3 -m venv {0} && {0}/bin/pip install y-tal scipy plyfile laspy",
             venv.display()
         );
     }

@@ -88,7 +88,7 @@ fn spreads(room: &Room, sd_m2: f64, draws: &mut Draws) -> Vec<Spread> {
 /// Eight patches, one pulse in ten a blend, all as wide as a response that was not calibrated: what is left of the
 /// shifts that the disks make.
 #[test]
-fn disks_are_told_from_the_widths_that_they_make() {
+fn disks_are_estimated_from_the_widths_that_they_make() {
     let (mut left_m2, mut all_m2, mut seen_blends) = (0.0, 0.0, 0);
     for seed in 0..20 {
         let mut draws = Draws::new(seed);
@@ -242,7 +242,7 @@ fn points_have_no_footprint_and_those_given_stay() {
 /// A patch whose few pulses leave it by directions close together: widths tell how large it looks from there, and
 /// directions far apart explain that about as well: errors to first order hold 25 of 40 vectors.
 #[test]
-fn errors_hold_where_few_directions_tell_of_a_patch() {
+fn errors_hold_where_few_directions_show_a_patch() {
     let (mut held, mut all) = (0, 0);
     for seed in 500..540 {
         let mut draws = Draws::new(seed);

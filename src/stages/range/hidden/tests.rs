@@ -213,7 +213,7 @@ fn legs_from_known_patches_serve_sensors_apart_and_their_errors_travel() {
 }
 
 #[test]
-fn what_the_sums_leave_open_or_contradict_is_told() {
+fn what_the_sums_leave_open_or_contradict_is_reported() {
     let context = context(BesideTables::default());
     let paths: [&[PatchId]; 9] = [&[1], &[2], &[3], &[4], &[1, 8, 3], &[1, 8, 4], &[2, 8, 3], &[2, 8, 4], &[5, 8, 1]];
     let mut labels = labels("near", 0.0, &paths);
