@@ -55,6 +55,7 @@ const VALUES: [&str; 20] = [
     "axes",
     "bin_ps",
     "marker",
+    "pixels",
 ];
 
 /// What is wrong in a table of captures.

@@ -85,6 +85,10 @@ fn description(at: &At, rule: &CaptureRule) -> Result<(), Fault> {
     at.check(rule.marker.is_none_or(|marker| (1..=4).contains(&marker)), || {
         "marker is none of the instruments' inputs 1 to 4; correct it".into()
     })?;
+    at.check(rule.pixels.is_none_or(|pixels| pixels > 0), || "pixels = 0; a line has one or more".into())?;
+    at.check(rule.pixels.is_none() || rule.marker.is_some(), || {
+        "pixels cuts the lines of an image; give the marker at which they begin too".into()
+    })?;
     at.check(rule.unit.is_none() || rule.gain_v.is_none(), || {
         "unit says what the numbers of a text are, gain_v converts codes to volts; give one of them".into()
     })?;

@@ -285,6 +285,8 @@ pub struct CaptureRule {
     pub bin_ps: Option<f64>,
     /// The marker at each of whose events a new histogram begins.
     pub marker: Option<u32>,
+    /// Pixels of a line, where that marker is the start of the lines of an image.
+    pub pixels: Option<u32>,
 }
 
 impl CaptureRule {
@@ -320,6 +322,7 @@ impl CaptureRule {
             axes: self.axes.clone(),
             bin_ps: self.bin_ps,
             marker: self.marker,
+            pixels: self.pixels,
         }
     }
 }
@@ -354,14 +357,16 @@ pub struct RecordKeys {
     pub bin_ps: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub marker: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pixels: Option<u32>,
 }
 
 impl RecordKeys {
     /// What they say to the reader of a file.
     #[must_use]
     pub fn description(&self) -> Description {
-        let Self { unit, time_unit, variable, axes, bin_ps, marker, .. } = self.clone();
-        Description { unit, time_unit, variable, axes, bin_ps, marker }
+        let Self { unit, time_unit, variable, axes, bin_ps, marker, pixels, .. } = self.clone();
+        Description { unit, time_unit, variable, axes, bin_ps, marker, pixels }
     }
 }
 

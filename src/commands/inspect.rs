@@ -51,6 +51,9 @@ pub struct Inspect {
     /// Marker, from 1, at each of whose events a new histogram of photons begins
     #[arg(long, value_name = "NUMBER")]
     marker: Option<u32>,
+    /// Pixels of a line, where that marker is the start of the lines of an image
+    #[arg(long, value_name = "NUMBER", requires = "marker")]
+    pixels: Option<u32>,
     /// Draw each waveform as a small plot
     #[arg(long)]
     plot: bool,
@@ -140,7 +143,7 @@ fn open(args: &Inspect, file: &Path) -> Result<Opened> {
     if file.is_dir() {
         bail!("is a folder; name the files in it, such as {}", file.join("*").display());
     }
-    let Inspect { unit, time_unit, variable, axes, bin_ps, marker, .. } = args;
+    let Inspect { unit, time_unit, variable, axes, bin_ps, marker, pixels, .. } = args;
     let (unit, time_unit, variable, axes) = (unit.clone(), time_unit.clone(), variable.clone(), axes.clone());
     let mut source = Source::open(file)?.described(Description {
         unit,
@@ -149,6 +152,7 @@ fn open(args: &Inspect, file: &Path) -> Result<Opened> {
         axes,
         bin_ps: *bin_ps,
         marker: *marker,
+        pixels: *pixels,
     });
     let Contents { mut records, remarks } = formats::contents(&mut source)?;
     let is_asked_for = |record: &Record| {

@@ -21,6 +21,8 @@ pub struct Description {
     pub bin_ps: Option<f64>,
     /// The marker, from 1, at each of whose events a new histogram begins.
     pub marker: Option<u32>,
+    /// Pixels of a line, where that marker is the start of the lines of an image.
+    pub pixels: Option<u32>,
 }
 
 /// A key of a [`Description`] that does not fit the file.
@@ -48,6 +50,8 @@ pub enum Key {
     Bin,
     /// `marker`.
     Marker,
+    /// `pixels`.
+    Pixels,
 }
 
 impl Key {
@@ -61,6 +65,7 @@ impl Key {
             Self::Axes => "axes",
             Self::Bin => "bin_ps",
             Self::Marker => "marker",
+            Self::Pixels => "pixels",
         }
     }
 
@@ -70,7 +75,7 @@ impl Key {
             Self::Unit | Self::TimeUnit => "text",
             Self::Variable => "MATLAB, HDF5 and .npz files",
             Self::Axes => "MATLAB, HDF5, .npy and .npz files",
-            Self::Bin | Self::Marker => "streams of photon events (.ptu)",
+            Self::Bin | Self::Marker | Self::Pixels => "streams of photon events (.ptu)",
         }
     }
 
@@ -118,6 +123,7 @@ impl Description {
             (Key::Axes, self.axes.is_some()),
             (Key::Bin, self.bin_ps.is_some()),
             (Key::Marker, self.marker.is_some()),
+            (Key::Pixels, self.pixels.is_some()),
         ];
         match given.into_iter().find(|(key, is_given)| *is_given && !keys.contains(key)) {
             Some((key, _)) => {

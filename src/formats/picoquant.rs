@@ -6,7 +6,8 @@
 //! each input channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as
 //! the latest photon of the file needs; photons of all pixels of an image are one histogram, unless the caller names a
 //! `marker`: then each of its events begins a new one, a segment of its channel, and photons before the first are left
-//! out with a remark. `bin_ps` makes bins of several units of the time base. The instrument subtracts the offset (0 by
+//! out with a remark. Where markers tell lines alone, `pixels` cuts each line into so many equal times (`pixels.rs`), and
+//! segments count the pixels, line by line. `bin_ps` makes bins of several units of the time base. The instrument subtracts the offset (0 by
 //! default) from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from
 //! 0. Several curves of one channel are its segments.
 //!
@@ -21,6 +22,7 @@
 //! the rest on files that the tests build, for which it reads the same counts.
 
 mod events;
+mod pixels;
 mod table;
 mod tags;
 
@@ -30,6 +32,7 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use self::events::{Clock, Event, Layout, MARKERS};
+use self::pixels::Pixels;
 use self::table::Table;
 pub(crate) use self::tags::iso;
 use self::tags::{Tags, WHOLE};
@@ -144,7 +147,7 @@ impl Reader for PicoquantPtu {
         head.starts_with(EVENTS)
     }
     fn keys(&self) -> &'static [Key] {
-        &[Key::Bin, Key::Marker]
+        &[Key::Bin, Key::Marker, Key::Pixels]
     }
 
     fn records(&self, input: &mut dyn Input) -> Result<Vec<Record>, FormatError> {
@@ -157,12 +160,13 @@ impl Reader for PicoquantPtu {
         };
         let t0_s = if is_t2 { Some(0.0) } else { Some(tags.offset_s("MeasDesc_Offset", WHOLE)?) };
         let description = input.description().clone();
-        let table = if description.marker.is_none() { Table::of(&events, input.file())? } else { None };
+        let is_cut = description.marker.is_some() || description.pixels.is_some();
+        let table = if !is_cut { Table::of(&events, input.file())? } else { None };
         let survey = match &table {
             Some(table) => table.survey(&events),
-            None => events.survey(input, &description)?,
+            None => events.survey(input, &description, Pixels::of(&description, &tags)?)?,
         };
-        let Survey { times, channels, stretches, before } = survey;
+        let Survey { times, channels, stretches, left_out, .. } = survey;
         let per_bin = per_bin(times, unit_s, is_t2, &description)?;
         let (bins, dt_s) = (times.div_ceil(per_bin) as usize, unit_s * per_bin as f64);
         let mut records = Vec::new();
@@ -178,8 +182,10 @@ impl Reader for PicoquantPtu {
                 records.push(Record { head: Arc::clone(&head), segment, t0_s, trigger_s: None, payload });
             }
         }
-        if before > 0 {
-            let problem = format!("{before} photons come before the first marker, and are left out");
+        if left_out > 0 {
+            let place =
+                if description.pixels.is_some() { "lie outside of all lines" } else { "come before the first marker" };
+            let problem = format!("{left_out} photons {place}, and are left out");
             input.remark(events.byte_offset, problem);
         }
         if records.is_empty() {
@@ -230,44 +236,62 @@ impl Events {
         Ok(Self { byte_offset, count, layout })
     }
 
-    /// What the events are together, cut at those of a marker.
-    fn survey(&self, input: &mut dyn Input, description: &Description) -> Result<Survey, FormatError> {
-        let mut survey = Survey::whole(self);
-        let start = survey.stretches[0];
-        if description.marker.is_some() {
-            survey.stretches.clear();
-        }
-        let bit = description.marker.map_or(0, |marker| 1 << (marker.clamp(1, MARKERS) - 1));
+    /// All of them.
+    fn start(&self) -> Stretch {
+        Stretch { events: *self, clock: Clock::new(self.layout) }
+    }
+
+    /// What the events are together, cut at those of a marker, or into pixels.
+    fn survey(
+        &self,
+        input: &mut dyn Input,
+        description: &Description,
+        pixels: Option<Pixels>,
+    ) -> Result<Survey, FormatError> {
         // A record takes far more memory than the event at which it begins.
         let each = size_of::<Record>() + size_of::<Histogram>() + size_of::<Stretch>();
         let most = (2 * input.length() + (1 << 18)) as usize / each;
-        let mut markers = 0;
-        start.each(input.file(), |number, clock, event| {
+        let Some(marker) = description.marker else {
+            let mut survey = Survey::whole(self);
+            self.start().each(input.file(), |_, _, event| {
+                survey.take(event);
+                Ok(())
+            })?;
+            return Ok(survey);
+        };
+        let (survey, cut) = match pixels {
+            Some(pixels) => (pixels.survey(self, input, most)?, 0),
+            None => self.cut_at(marker, input, most)?,
+        };
+        let parts = survey.stretches.len().max(cut);
+        let channels = survey.channels.iter().filter(|is_there| **is_there).count();
+        if parts.saturating_mul(channels.max(1)) > most {
+            let problem = format!("= {marker} gives {parts} histograms on {channels} channels, too many for the file");
+            return Err(Key::Marker.refuse(format!("{problem}; cut the measurement into files")).into());
+        }
+        Ok(survey)
+    }
+
+    /// The events cut at those of a marker, of which there are so many; only `most` make histograms.
+    fn cut_at(&self, marker: u32, input: &mut dyn Input, most: usize) -> Result<(Survey, usize), FormatError> {
+        let (mut survey, mut markers) = (Survey::cut_up(), 0);
+        let bit = 1 << (marker.clamp(1, MARKERS) - 1);
+        self.start().each(input.file(), |number, clock, event| {
             match event {
-                Event::Photon(channel, time) if !survey.stretches.is_empty() => {
-                    survey.channels[channel] = true;
-                    survey.times = survey.times.max(time + 1);
-                }
-                Event::Photon(..) => survey.before += 1,
                 Event::Markers(bits) if bits & bit != 0 => {
                     markers += 1;
                     if markers <= most {
                         survey.cut(self, number + 1, *clock);
                     }
                 }
-                Event::Markers(_) | Event::Other => {}
+                event => survey.take(event),
             }
             Ok(())
         })?;
-        if let Some(marker) = description.marker.filter(|_| markers == 0) {
+        if markers == 0 {
             return Err(Key::Marker.refuse(format!("= {marker}: no such marker is in the file; take it out")).into());
         }
-        let count = survey.channels.iter().filter(|is_there| **is_there).count();
-        if let Some(marker) = description.marker.filter(|_| markers.saturating_mul(count.max(1)) > most) {
-            let problem = format!("= {marker} gives {markers} histograms on {count} channels, too many for the file");
-            return Err(Key::Marker.refuse(format!("{problem}; cut the measurement into files")).into());
-        }
-        Ok(survey)
+        Ok((survey, markers))
     }
 }
 
@@ -277,26 +301,50 @@ struct Survey {
     times: u64,
     /// Which channels have photons.
     channels: [bool; 64],
-    /// From one marker to the next.
+    /// The events of each histogram.
     stretches: Vec<Stretch>,
-    /// Photons before the first marker.
-    before: u64,
+    /// Whether events belong to the last of them.
+    is_open: bool,
+    /// Photons that belong to none.
+    left_out: u64,
 }
 
 impl Survey {
-    /// Nothing yet of events that no marker cuts.
+    /// Nothing yet of events that are one histogram.
     fn whole(events: &Events) -> Self {
-        let start = Stretch { events: *events, clock: Clock::new(events.layout) };
-        Self { times: 0, channels: [false; 64], stretches: vec![start], before: 0 }
+        Self { stretches: vec![events.start()], is_open: true, ..Self::cut_up() }
     }
 
-    /// Ends the last stretch before the event `next`, and begins another.
-    fn cut(&mut self, all: &Events, next: u64, clock: Clock) {
-        let events = Events { byte_offset: all.byte_offset + next * WORD_BYTES, count: all.count - next, ..*all };
-        if let Some(last) = self.stretches.last_mut() {
-            last.events.count = (events.byte_offset - last.events.byte_offset) / WORD_BYTES;
+    /// Nothing yet of events that are cut.
+    fn cut_up() -> Self {
+        Self { times: 0, channels: [false; 64], stretches: Vec::new(), is_open: false, left_out: 0 }
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Photon(channel, time) if self.is_open => {
+                self.channels[channel] = true;
+                self.times = self.times.max(time + 1);
+            }
+            Event::Photon(..) => self.left_out += 1,
+            Event::Markers(_) | Event::Other => {}
         }
+    }
+
+    /// Ends the last histogram before the event `next`.
+    fn end(&mut self, all: &Events, next: u64) {
+        if let Some(last) = self.stretches.last_mut().filter(|_| self.is_open) {
+            last.events.count = next - (last.events.byte_offset - all.byte_offset) / WORD_BYTES;
+        }
+        self.is_open = false;
+    }
+
+    /// Ends the last histogram before the event `next`, and begins another, the time being what `clock` says.
+    fn cut(&mut self, all: &Events, next: u64, clock: Clock) {
+        self.end(all, next);
+        let events = Events { byte_offset: all.byte_offset + next * WORD_BYTES, count: all.count - next, ..*all };
         self.stretches.push(Stretch { events, clock });
+        self.is_open = true;
     }
 }
 

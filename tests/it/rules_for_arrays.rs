@@ -103,6 +103,8 @@ fn units_and_axes_are_checked_before_any_file_is_read() {
         ("unit = 'V'\ngain_v = 1.0", "give one of them"),
         ("variable = 'x'\nchannel = 'C1'", "give one of them"),
         ("marker = 5", "inputs 1 to 4"),
+        ("pixels = 8", "give the marker"),
+        ("marker = 1\npixels = 0", "one or more"),
         ("bin_ps = 0", "bin_ps"),
         ("axes = ['time', 'shots']", "did you mean `shot`?"),
         ("axes = ['shot', 'lit']", "has no \"time\""),

@@ -27,7 +27,7 @@ impl Table {
         // Special events have an index too: they are channel 15 of a PicoHarp, and the upper half of the other table.
         let (counts, times) = match events.layout {
             Layout::PicoHarpT3 => (counts::<{ 1 << 16 }>(events, file)?, 1 << 12),
-            Layout::HydraHarpT3 => (counts::<{ 1 << 22 }>(events, file)?, 1 << 15),
+            Layout::HydraHarpT3 { .. } => (counts::<{ 1 << 22 }>(events, file)?, 1 << 15),
             Layout::PicoHarpT2 | Layout::HydraHarpT2 { .. } => return Ok(None),
         };
         let table = Self { counts, times };

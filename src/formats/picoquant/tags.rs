@@ -18,9 +18,11 @@ const WIDEST_BIN_S: f64 = 0.01;
 /// Index of a tag that occurs once in a file.
 pub(super) const WHOLE: i32 = -1;
 /// Names of the tags that are read.
-const NAMES: [&str; 17] = [
+const NAMES: [&str; 19] = [
     "File_CreatingTime",
     "HW_Type",
+    "ImgHdr_BiDirect",
+    "ImgHdr_LineStop",
     "HistoResult_NumberOfCurves",
     "HistoResult_BitsPerBin",
     "HistResDscr_HistogramBins",
@@ -38,6 +40,7 @@ const NAMES: [&str; 17] = [
     "Header_End",
 ];
 /// Types of tags' values.
+pub(super) const BOOLEAN: u32 = 0x0000_0008;
 pub(super) const INTEGER: u32 = 0x1000_0008;
 pub(super) const FLOAT: u32 = 0x2000_0008;
 pub(super) const DATE: u32 = 0x2100_0008;
@@ -104,6 +107,11 @@ impl Tags {
             Some(tag) if tag.kind == INTEGER => Ok(Some(tag.value.cast_signed())),
             Some(tag) => Err(self.refuse(name, index, format!("has type {:#010x}, not Int8", tag.kind))),
         }
+    }
+
+    /// Whether a tag that is true or false is there, and true.
+    pub(super) fn is_true(&self, name: &'static str) -> bool {
+        self.by_name.get(&(name, WHOLE)).is_some_and(|tag| tag.kind == BOOLEAN && tag.value != 0)
     }
 
     pub(super) fn count(&self, name: &'static str, index: i32) -> Result<u64, FormatError> {

@@ -1,4 +1,4 @@
-use super::tags::{DATE, FLOAT, INTEGER, TAG_BYTES, TEXT, iso};
+use super::tags::{BOOLEAN, DATE, FLOAT, INTEGER, TAG_BYTES, TEXT, iso};
 use super::*;
 use crate::hostile::{change_anywhere, cut_everywhere, decode, refusal};
 use crate::waveform::Kind;
@@ -50,7 +50,13 @@ fn phu(channels: &[u64]) -> Vec<u8> {
 }
 
 fn ptu(record_type: u64, events: &[u32]) -> Vec<u8> {
+    image(record_type, &[], events)
+}
+
+/// The same with tags of an image.
+fn image(record_type: u64, tags: &[(&str, u32, u64)], events: &[u32]) -> Vec<u8> {
     let mut bytes = start(EVENTS);
+    tags.iter().for_each(|(name, kind, value)| with(&mut bytes, name, WHOLE, *kind, *value));
     with(&mut bytes, "TTResultFormat_TTTRRecType", WHOLE, INTEGER, record_type);
     with(&mut bytes, "TTResultFormat_BitsPerRecord", WHOLE, INTEGER, 32);
     with(&mut bytes, "TTResult_NumberOfRecords", WHOLE, INTEGER, events.len() as u64);
@@ -316,6 +322,64 @@ fn markers_begin_histograms() {
     assert_eq!(records.len(), 2);
     assert_eq!((values[0][0], records[0].head.dt_s), (1.0, Some(512.0 * 4e-12)));
     assert_eq!(values[1].iter().rposition(|count| *count == 1.0), Some(((1 << 25) + 1 - 5) / 512));
+}
+
+/// Two lines of 60 sync pulses, marker 1 at their start and marker 2 at their end, in three pixels each; the sync counter
+/// begins anew in the second one. Photons before, between and behind them count nowhere.
+#[test]
+fn lines_are_cut_into_pixels() {
+    let syncs = |start: u32, pixels: [u32; 3]| -> Vec<u32> {
+        let photons = (0..3).flat_map(move |pixel| (0..pixels[pixel as usize]).map(move |n| start + 20 * pixel + n));
+        photons.map(|sync| hydra_harp(0, 0, 1, sync)).collect()
+    };
+    let mut events = vec![hydra_harp(0, 0, 1, 3), hydra_harp(1, 1, 0, 900)];
+    events.extend(syncs(900, [2, 0, 3]));
+    events.extend([hydra_harp(1, 2, 0, 960), hydra_harp(0, 0, 1, 970), hydra_harp(1, 1, 0, 1010)]);
+    events.extend([
+        hydra_harp(0, 0, 1, 1015),
+        hydra_harp(1, 63, 0, 1),
+        hydra_harp(0, 0, 1, 10),
+        hydra_harp(0, 0, 2, 26),
+    ]);
+    events.extend([hydra_harp(1, 2, 0, 46), hydra_harp(0, 0, 1, 50)]);
+    let pixels = |file: &[u8], marker: Option<u32>, pixels: u32| {
+        let description = Description { marker, pixels: Some(pixels), ..Description::default() };
+        let mut source = crate::hostile::source(file).described(description);
+        let contents = crate::contents(&mut source).map_err(|error| error.to_string())?;
+        let remarks: Vec<String> = contents.remarks.iter().map(|remark| remark.problem.clone()).collect();
+        let counts = contents.records.iter().map(|record| source.values(record).unwrap().iter().sum::<f64>());
+        Ok::<_, String>((counts.collect::<Vec<_>>(), remarks))
+    };
+    let stop = ("ImgHdr_LineStop", INTEGER, 2);
+    let file = image(0x1_0305, &[stop], &events);
+    let (counts, remarks) = pixels(&file, Some(1), 3).unwrap();
+    assert_eq!(counts, [2.0, 0.0, 3.0, 1.0, 1.0, 1.0]);
+    assert!(remarks.iter().any(|remark| remark.contains("3 photons lie outside of all lines")), "{remarks:?}");
+    // Without a tag for their end, lines last until the next one, and the last as long as the one before.
+    let (counts, _) = pixels(&image(0x1_0305, &[], &events), Some(1), 2).unwrap();
+    assert_eq!(counts, [5.0, 1.0, 3.0, 1.0]);
+    assert!(pixels(&file, None, 3).unwrap_err().contains("`pixels` cuts lines: give the marker"));
+    assert!(pixels(&file, Some(4), 3).unwrap_err().contains("no such marker"));
+    assert!(pixels(&file, Some(1), 1 << 20).unwrap_err().contains("too many for the file"));
+    let backwards = image(0x1_0305, &[stop, ("ImgHdr_BiDirect", BOOLEAN, 1)], &events);
+    assert!(pixels(&backwards, Some(1), 3).unwrap_err().contains("every other line runs backwards"));
+    let single = [hydra_harp(1, 1, 0, 900), hydra_harp(0, 0, 1, 905)];
+    assert!(pixels(&ptu(0x1_0305, &single), Some(1), 3).unwrap_err().contains("has no end"));
+}
+
+/// The time of events of each layout, as markers have it: overflows counted one by one, or many at a time.
+#[test]
+fn time_goes_on_over_overflows() {
+    for (record_type, events, now) in [
+        (0x1_0303, [pico_harp(15, 0, 0), pico_harp(15, 0, 0), pico_harp(15, 1, 7)], (2 << 16) + 7),
+        (0x1_0304, [hydra_harp(1, 63, 0, 5), hydra_harp(1, 63, 0, 0), hydra_harp(1, 1, 0, 7)], (2 << 10) + 7),
+        (0x101_0304, [hydra_harp(1, 63, 0, 5), hydra_harp(1, 63, 0, 0), hydra_harp(1, 1, 0, 7)], (6 << 10) + 7),
+        (0x101_0204, [t2(1, 63, 3), t2(1, 0, 1), t2(1, 1, 7)], (3 << 25) + 7),
+    ] {
+        let mut clock = Clock::new(Layout::of(record_type).unwrap());
+        let last = events.map(|event| clock.event(event).unwrap())[2];
+        assert_eq!((last, clock.now()), (Event::Markers(1), now), "{record_type:#x}");
+    }
 }
 
 #[test]
