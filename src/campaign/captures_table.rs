@@ -34,7 +34,7 @@ const TEXT: [&str; 10] = [
 ];
 
 /// Columns whose cells are numbers, or lists in brackets.
-const VALUES: [&str; 20] = [
+const VALUES: [&str; 21] = [
     "segment",
     "lit",
     "seen",
