@@ -279,15 +279,14 @@ fn raw_data(input: &mut dyn Input, objects: &mut Objects, lead_in: &LeadIn, befo
     }
     let chunks = available / chunk_bytes;
     let mut start = lead_in.raw;
-    for (object, layout) in live {
+    // Of no whole chunk, lengths may be larger than any file.
+    for (object, layout) in live.into_iter().filter(|_| chunks > 0) {
         let at = start;
         start += if is_interleaved { layout.width } else { layout.bytes };
         let stride = if is_interleaved { row_bytes } else { layout.width };
         let big_endian = lead_in.has(BIG_ENDIAN);
         let extent = Extent { at, values: layout.values, chunks, chunk_bytes, stride, big_endian };
-        if chunks > 0 {
-            objects.push(object, extent, input.length()).map_err(|problem| refuse(problem.to_owned()))?;
-        }
+        objects.push(object, extent, input.length()).map_err(|problem| refuse(problem.to_owned()))?;
     }
     let end = lead_in.raw + chunks * chunk_bytes;
     input.uses(lead_in.raw..end);

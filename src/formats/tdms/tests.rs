@@ -237,6 +237,9 @@ fn what_is_wrong_is_said() {
     assert!(refusal(&Tdms, &segment(WHOLE, &before, &[])).contains("had none before"));
     let negative = [("/'g'/'a'", index(2, 1), vec![("wf_increment", 10, Field::F64(-1.0))])];
     assert!(refusal(&Tdms, &segment(WHOLE, &negative, &codes(&[1]))).contains("wf_increment = -1"));
+    // Its end lies beyond all numbers. Found by fuzzing.
+    let endless = [("/'g'/'a'", index(1, u64::MAX - 8), vec![])];
+    assert!(refusal(&Tdms, &segment(WHOLE, &endless, &codes(&[1]))).contains("no channel has values"));
     let uneven = [("/'g'/'a'", index(2, 1), vec![]), ("/'g'/'b'", index(2, 2), vec![])];
     assert!(refusal(&Tdms, &segment(WHOLE | INTERLEAVED, &uneven, &codes(&[1, 2, 3]))).contains("unequal length"));
 }
