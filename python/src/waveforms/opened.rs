@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::failure::of_file;
 use crate::interrupt::interruptible;
 
-/// Samples that a thread reads at a time, and those of them whose codes stay in its caches while it makes values of them.
+/// Samples that a thread reads at a time, and as many as it makes values of while their codes stay in its caches.
 const BLOCK: usize = 1 << 22;
 const SMALL_BLOCK: usize = 1 << 18;
 /// Samples of a packed record, which one thread unpacks, that each thread makes values of.

@@ -63,7 +63,7 @@
       const eye = figure.layout.scene?.camera?.eye;
       if (eye && plot.clientWidth < 600) {
         for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
-        for (const { marker } of figure.data) if (marker?.colorbar) Object.assign(marker.colorbar, { orientation: "h", x: 0.5, xanchor: "center", y: 1, yanchor: "top", len: 0.8 });
+        for (const { marker } of figure.data) if (marker?.colorbar) Object.assign(marker.colorbar, { orientation: "h", x: 0.5, xanchor: "center", y: 1.02, yanchor: "bottom" });
       }
       return figure;
     };
