@@ -1,4 +1,5 @@
-"""Reading rates of the package next to other readers of Python: files of 200 MB in the page cache, best of several.
+"""Reading rates of the package next to other readers of Python: files of 200 MB in the page cache, in turn: the best of several
+rounds, and the median ratio of the times of a round.
 
     python python/benches/readers.py WORK [ROUNDS]
 
@@ -91,14 +92,10 @@ def picoquant(path: Path) -> None:
     ptufile.imwrite(path, counts[np.newaxis], 5e-8, 3.2e-10)
 
 
-def best(job: Callable[[], Any], rounds: int) -> tuple[float, Any]:
-    times, result = [], None
-    for _ in range(rounds):
-        result = None
-        start = time.perf_counter()
-        result = job()
-        times.append(time.perf_counter() - start)
-    return min(times), result
+def timed(job: Callable[[], Any]) -> tuple[float, Any]:
+    start = time.perf_counter()
+    result = job()
+    return time.perf_counter() - start, result
 
 
 def total(result: Any) -> float:
@@ -106,19 +103,27 @@ def total(result: Any) -> float:
     return sum(float(np.asarray(array).sum(dtype=np.float64)) for array in arrays)
 
 
-def row(path: Path, name: str, gives: str, seconds: float, ours: float | None = None) -> None:
-    ratio = "" if ours is None else f"{seconds / ours:.1f}"
+def row(path: Path, name: str, gives: str, seconds: float, ratio: str = "") -> None:
     print(f"| `{path.name}`, {path.stat().st_size / 1e6:.0f} MB | {name} | {gives} | {path.stat().st_size / seconds / 1e9:.2f} | {ratio} |")
 
 
 def compare(path: Path, gives: str, ours: Callable[[], Any], others: dict[str, Callable[[], Any]], rounds: int) -> None:
     path.read_bytes()
-    seconds, result = best(ours, rounds)
-    row(path, "periscope", gives, seconds)
-    for name, job in others.items():
-        theirs, other = best(job, rounds)
-        row(path, name, gives, theirs, seconds)
-        np.testing.assert_allclose(total(other), total(result), rtol=1e-9)
+    jobs = {"periscope": ours, **others}
+    times: dict[str, list[float]] = {name: [] for name in jobs}
+    sums: dict[str, float] = {}
+    for _ in range(rounds):
+        for name, job in jobs.items():
+            seconds, result = timed(job)
+            times[name].append(seconds)
+            if name not in sums:
+                sums[name] = total(result)
+            del result
+    row(path, "periscope", gives, min(times["periscope"]))
+    for name in others:
+        np.testing.assert_allclose(sums[name], sums["periscope"], rtol=1e-9)
+        ratio = np.median(np.divide(times[name], times["periscope"]))
+        row(path, name, gives, min(times[name]), f"{ratio:.1f}")
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 /// Whether a character does more to a terminal than stand there: control characters, and those that turn the direction
-/// of text or that nobody sees.
+/// of text or that no one sees.
 fn is_active(c: char) -> bool {
     let is_hidden =
         matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}');

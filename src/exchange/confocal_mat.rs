@@ -88,7 +88,7 @@ struct Order {
 
 impl Order {
     /// MATLAB's first axis comes last: (time, y, x). Other programs write (y, x, time) as it is; the sides of the
-    /// scanned square are equal, which tells the two apart.
+    /// scanned square are equal, which distinguishes the two.
     fn of(axes: &[usize]) -> Result<Self, String> {
         let [first, middle, last] = axes[..] else {
             return Err(format!("has {} axes of numbers; a scan has three: x, y and time", axes.len()));

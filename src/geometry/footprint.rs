@@ -325,7 +325,7 @@ mod tests {
         assert!((shift_m(&footprints.moved(&[])) - here_m).abs() < 1e-12);
     }
 
-    /// Footprints drawn with their errors: the mean of their shifts is the one that is told, and what errors do not
+    /// Footprints drawn with their errors: the mean of their shifts is the one that is reported, and what errors do not
     /// explain in proportion scatters as it says, also where a leg grazes a patch.
     #[test]
     fn shifts_of_footprints_with_errors_scatter_as_they_say() {

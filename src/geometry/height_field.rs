@@ -19,7 +19,7 @@
 //! Lengths are fitted as if errors of their law were independent, and error bars count them as the smooth function over
 //! the wall that they are: were they fitted as one, they would take up what the surface is bent by. A node counts only
 //! among points that the wall sees on all sides of it: beyond an edge, and on faces of which it sees but the edges,
-//! nothing is told.
+//! nothing is reported.
 //!
 //! Source: thin plates as priors, Terzopoulos, IEEE T. Pattern Anal. 8:413, 1986; weights of Student's, Lange et al.,
 //! J. Am. Stat. Assoc. 84:881, 1989; the size of curvatures by evidence, MacKay, Neural Comput. 4:415, 1992.

@@ -13,7 +13,7 @@
 //!
 //! A shape grows from a few neighbouring places by those that it predicts. The one that explains most places is taken
 //! first, then the same with the rest. Its kind is the likeliest one on the places that it explains, by marginal
-//! likelihoods under the full covariance. A shape is told only if its kind is much likelier than any other, if its
+//! likelihoods under the full covariance. A shape is reported only if its kind is much likelier than any other, if its
 //! lengths are those that their errors allow, if the surface does not go on smoothly where the shape no longer follows
 //! it, and if no smooth departure from it is much likelier: bent surfaces are explained piece by piece by any of these
 //! shapes, and are none of them.
@@ -26,7 +26,7 @@
 //! their ellipsoids of 95 %.
 //!
 //! Not modelled: lit points apart from the seen ones, spheres and cylinders that are concave towards the wall, where
-//! planes end, shapes that are told to be parallel or to meet.
+//! planes end, shapes that are known to be parallel or to meet.
 
 mod core;
 mod errors;
@@ -65,7 +65,7 @@ const LEAST: usize = 24;
 /// Rounds of least squares with the full covariance, and the step in standard deviations, squared, that ends them.
 const ROUNDS: usize = 15;
 const DONE: f64 = 1e-4;
-/// Places among which kinds are told apart, evenly over all.
+/// Places among which kinds are distinguished, evenly over all.
 const ENOUGH: usize = 600;
 
 /// What a surface is.
@@ -206,7 +206,7 @@ pub fn shapes(sightings: &[Sighting], cancel: &Cancel) -> Vec<Shape> {
     while let Some((core, members)) = wall.largest(&free, &is_seed, cancel) {
         let verdict =
             (!wall.goes_on(&core, &members)).then(|| verdict(&wall, &core, &spread(&members, ENOUGH))).flatten();
-        // Places of what is not told stay free for other shapes, but start none.
+        // Places of what is not reported stay free for other shapes, but start none.
         members.iter().for_each(|n| is_seed[*n as usize] = false);
         if let Some(verdict) = verdict {
             members.iter().for_each(|n| free[*n as usize] = false);
@@ -335,7 +335,7 @@ fn is_explained(fit: &Fit, count: usize) -> bool {
     ((fit.likelihood.square / free).cbrt() - (1.0 - spread)) / spread.sqrt() < EXPLAINED
 }
 
-/// The shape with all that show it, if it is the one that was told.
+/// The shape with all that show it, if it is the one that was reported.
 fn shape(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Shape> {
     if members.len() < LEAST || wall.goes_on(core, members) {
         return None;

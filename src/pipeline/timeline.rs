@@ -26,7 +26,7 @@ struct State {
     out: Box<dyn Write + Send>,
     /// Numbers of tracks by their names.
     tracks: BTreeMap<String, usize>,
-    /// The first error: a trace is no reason to stop a run, but its loss is told.
+    /// The first error: a trace is no reason to stop a run, but its loss is reported.
     failure: Option<io::Error>,
 }
 

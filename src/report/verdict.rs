@@ -106,7 +106,7 @@ impl Verdict {
         }
         remarks.sort_by_key(|(word, _)| std::cmp::Reverse(*word));
         let word = remarks.first().map_or(Word::Unchecked, |(word, _)| *word);
-        // What is well is told only where all is.
+        // What is well is reported only where all is.
         let remarks = remarks.into_iter().filter(|(of, _)| *of > Word::Explained || word == Word::Explained);
         let goodness = scene.and_then(|scene| scene.fit.as_ref()).and_then(Goodness::of);
         Self { word, reasons: remarks.map(|(_, reason)| reason).collect(), goodness }

@@ -32,7 +32,7 @@ impl Regression {
     }
 }
 
-/// The least-squares fit; `None` when the columns do not tell the coefficients apart, or there are fewer rows than
+/// The least-squares fit; `None` when the columns do not determine the coefficients, or there are fewer rows than
 /// columns.
 ///
 /// # Panics

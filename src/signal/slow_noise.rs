@@ -74,7 +74,7 @@ impl SlowNoise {
         Self::fit(blocks, &means, fast)
     }
 
-    /// `None` where the dark blocks do not tell the components apart.
+    /// `None` where the dark blocks do not separate the components.
     fn fit(blocks: Blocks, means: &[Vec<f64>], fast: f64) -> Option<Self> {
         let (size, shots) = (blocks.size(), means.len() as f64);
         let gram = blocks.gram();
@@ -302,7 +302,7 @@ mod tests {
         assert!(SlowNoise::of(&shots(3.0, 2.0, &mut rng)[..1], &[true; LEN]).is_none());
     }
 
-    /// Without noise, a lit part may hide what tells components apart: that is no reason to end.
+    /// Without noise, a lit part may hide what separates components: that is no reason to end.
     #[test]
     fn components_that_look_alike_have_no_posterior() {
         assert!(posterior_of(&[1.0; 4], &[1.0], 1.0).is_some());

@@ -62,7 +62,7 @@
 //! lost_shots = 0.0                   # optional: share of shots that are not in the files overhead_s = 0.0
 //! # optional: time between captures [[captures.fiducials]]             # optional: known paths, once or again and
 //! again path_m = 0.6                       # to a white diffuser and back; or: through = [1, 5, 2] attenuation_od =
-//! 0.3 shots = 100 runs = 10 every_s = 600.0 [known]                            # optional: what campaign.toml tells
+//! 0.3 shots = 100 runs = 10 every_s = 600.0 [known]                            # optional: what campaign.toml says
 //! beforehand, true but for errors of these standard deviations size = true                        # of all patches,
 //! like `normal` normal = true anchors = [1, 2, 3]                # patches of known position anchor_sd_m = 0.001 rays
 //! = [4, 5]                      # patches of known direction from the laser ray_sd_rad = 0.002 station_sd_m = 0.0005

@@ -263,7 +263,7 @@ impl Embed {
         Ok(rows)
     }
 
-    /// Points about the origin, and others that the lengths do not tell from them.
+    /// Points about the origin, and others that the lengths do not distinguish from them.
     fn points(&self, measured: &Measured) -> (Vec<Point>, Vec<Alternative>) {
         let dimensions = measured.dimensions;
         let points = match self.method {

@@ -11,7 +11,7 @@
 //! the response with its tail.
 //!
 //! With `searches` of `locate` beside it, the stage writes points only where the verdict is an extended object: where
-//! points explain the light, or nothing is there, there is no surface to be told.
+//! points explain the light, or nothing is there, there is no surface to be reported.
 //!
 //! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Confocal captures are
 //! one scan; of the others, each lit point with 16 seen points or more is a scan of its own. Writes `surface_points`.

@@ -6,7 +6,7 @@
 //! moves the gate of `image` ([`crate::signal::image::gate`]) on to where only the tail is left ([`joint::WallSum`]).
 //! Else the response is that of the calibration.
 //!
-//! It answers with a verdict: points, an extended object, nothing, or that it cannot tell. Only the first adds hidden
+//! It answers with a verdict: points, an extended object, nothing, or that it cannot decide. Only the first adds hidden
 //! patches, numbered on from the largest patch.
 //!
 //! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Writes all `patches`,

@@ -33,7 +33,7 @@ use crate::geometry::shapes::Sighting;
 use crate::priors::sightings::Walls;
 use crate::tables::{Mesh, Patch, Row, SurfacePoint, Vertex};
 
-/// `mesh` has no parameters: what is not sure is not told.
+/// `mesh` has no parameters: what is not sure is not reported.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FitMeshes {}

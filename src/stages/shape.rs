@@ -31,7 +31,7 @@ use crate::priors::covariances::upper;
 use crate::priors::sightings::Walls;
 use crate::tables::{Patch, Row, Shape, SurfacePoint};
 
-/// `shape` has no parameters: what is not sure is not told.
+/// `shape` has no parameters: what is not sure is not reported.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FitShapes {}

@@ -120,7 +120,7 @@ pub trait Source: Send + Sync {
     fn fields(&self, campaigns: &[Campaign]) -> Result<Value, NotJson>;
     /// Its table.
     fn table(&self) -> WrittenTable;
-    /// Whether `other` reads the same captures and more: then it tells what is wrong with them.
+    /// Whether `other` reads the same captures and more: then it reports what is wrong with them.
     fn is_sample_of(&self, _other: &dyn Source) -> bool {
         false
     }

@@ -272,7 +272,7 @@ pub trait Fold: Stage {
 /// pieces, a fold sees the head too, forgets, absorbs the subtotals of all pieces in order, and finishes the group. The
 /// result is to the bit that of one pass over all rows.
 pub trait InPieces<S: Fold>: Sync {
-    /// Schema of the subtotals; they begin with the columns that tell groups apart.
+    /// Schema of the subtotals; they begin with the columns that distinguish groups.
     fn schema(&self) -> SchemaRef;
     /// Starts a piece of a group whose first row is given: a state that can be saved.
     fn begin(&self, context: &S::Context, first: S::Input) -> S::State;

@@ -29,7 +29,7 @@ pub use std::os::unix::fs::symlink;
 /// What there is at a path; `None` if nothing is. That a disk did not say is an error, and not an absence.
 ///
 /// # Errors
-/// When it cannot be told.
+/// When it cannot be determined.
 pub fn if_there(metadata: io::Result<Metadata>) -> io::Result<Option<Metadata>> {
     match metadata {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => Ok(None),
@@ -40,7 +40,7 @@ pub fn if_there(metadata: io::Result<Metadata>) -> io::Result<Option<Metadata>> 
 /// Whether something is there; a link counts for what it leads to.
 ///
 /// # Errors
-/// When it cannot be told.
+/// When it cannot be determined.
 pub fn is_there(path: &Path) -> io::Result<bool> {
     Ok(if_there(metadata(path))?.is_some())
 }
@@ -48,7 +48,7 @@ pub fn is_there(path: &Path) -> io::Result<bool> {
 /// Whether a folder is there, or a link to one.
 ///
 /// # Errors
-/// When it cannot be told.
+/// When it cannot be determined.
 pub fn is_folder(path: &Path) -> io::Result<bool> {
     Ok(if_there(metadata(path))?.is_some_and(|metadata| metadata.is_dir()))
 }
@@ -56,7 +56,7 @@ pub fn is_folder(path: &Path) -> io::Result<bool> {
 /// Whether a link is there.
 ///
 /// # Errors
-/// When it cannot be told.
+/// When it cannot be determined.
 pub fn is_link(path: &Path) -> io::Result<bool> {
     Ok(if_there(symlink_metadata(path))?.is_some_and(|metadata| metadata.is_symlink()))
 }

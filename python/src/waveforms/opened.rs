@@ -15,14 +15,19 @@ use rayon::prelude::*;
 use crate::failure::of_file;
 use crate::interrupt::interruptible;
 
-/// Samples whose codes are read at a time to make values of them, and samples that a thread takes of these.
-const BLOCK: usize = 1 << 20;
+/// Samples that a thread reads at a time, and as many as it makes values of while their codes stay in its caches.
+const BLOCK: usize = 1 << 22;
+const SMALL_BLOCK: usize = 1 << 18;
+/// Samples of a packed record, which one thread unpacks, that each thread makes values of.
 const PIECE: usize = 1 << 16;
+/// Bytes of a file that several threads read side by side.
+const LARGE: usize = 1 << 24;
 
 /// An open file.
 pub struct Opened {
     pub path: PathBuf,
-    source: Mutex<Source<Joined>>,
+    /// The file, opened once for each thread if it is large.
+    sources: Vec<Mutex<Source<Joined>>>,
     pub remarks: Vec<String>,
 }
 
@@ -32,12 +37,17 @@ impl Opened {
         let opened = interruptible(py, |_| {
             let mut source = Source::open(&path)?;
             let contents = formats::contents(&mut source)?;
-            Ok((source, contents))
+            let others = if source.total() < LARGE { 0 } else { rayon::current_num_threads() - 1 };
+            let mut sources = vec![source];
+            for _ in 0..others {
+                sources.push(Source::open(&path)?);
+            }
+            Ok((sources.into_iter().map(Mutex::new).collect(), contents))
         })?;
-        let (source, Contents { records, remarks }) = opened.map_err(|error| of_file(&path, &error))?;
+        let (sources, Contents { records, remarks }) = opened.map_err(|error| of_file(&path, &error))?;
         let remark = |remark: &formats::Remark| format!("byte {}: {}", remark.byte_offset, remark.problem);
         let remarks = remarks.iter().map(remark).collect();
-        Ok((Self { path, source: Mutex::new(source), remarks }, records))
+        Ok((Self { path, sources, remarks }, records))
     }
 
     /// Codes of records, one after another: bytes of the file, seen as the type of the codes.
@@ -52,57 +62,77 @@ impl Opened {
         {
             let mut target = bytes.readwrite();
             let target = target.as_slice_mut()?;
-            let read = interruptible(py, |cancel| self.read(records, &samples, target, cancel))?;
+            let read = interruptible(py, |cancel| {
+                in_blocks(records, &samples, target, BLOCK, |_, records, part, target| {
+                    self.read(records, &part, target, cancel)
+                })
+            })?;
             read.map_err(|error| of_file(&self.path, &FormatError::Io(error)))?;
         }
         bytes.call_method1("view", (dtype(code_type),))
     }
 
-    /// Scaled values of records, one after another. Blocks of codes stay in the processor's caches, and the threads of
-    /// the pool turn each into values side by side: the pages of a new array are cleared where they are first written.
+    /// Scaled values of records, one after another. Each thread of the pool reads blocks of codes, which stay in the
+    /// processor's caches, and makes values of them: the pages of a new array are cleared where they are first written.
     pub fn values<'py>(
         &self,
         py: Python<'py>,
         records: &[Record],
         samples: Range<usize>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let (length, width) = (samples.len(), records[0].head.code_type.bytes());
-        let values = empty::<f64>(py, records.len() * length)?;
-        if length == 0 {
-            return Ok(values);
-        }
+        let width = records[0].head.code_type.bytes();
+        let values = empty::<f64>(py, records.len() * samples.len())?;
         {
             let mut target = values.readwrite();
             let target = target.as_slice_mut()?;
-            // Some short records, or a part of a long one; what is packed is unpacked from its beginning.
-            let is_plain = records.iter().all(|record| record.contiguous().is_some());
-            let (together, most) = ((BLOCK / length).max(1), if is_plain { BLOCK.min(length) } else { length });
             let read = interruptible(py, |cancel| {
-                let mut codes = Vec::new();
-                for (records, target) in records.chunks(together).zip(target.chunks_mut(together * length)) {
-                    let parts = samples.clone().step_by(most).zip(target.chunks_mut(records.len() * most));
-                    for (start, target) in parts {
-                        let part = start..(start + most).min(samples.end);
-                        codes.resize(target.len() * width, 0);
-                        self.read(records, &part, &mut codes, cancel)?;
-                        scale(records, &codes, target);
-                    }
-                }
-                Ok(())
+                in_blocks(records, &samples, target, SMALL_BLOCK, |codes, records, part, target| {
+                    codes.resize(target.len() * width, 0);
+                    self.read(records, &part, codes, cancel)?;
+                    scale(records, codes, target);
+                    Ok(())
+                })
             })?;
             read.map_err(|error| of_file(&self.path, &FormatError::Io(error)))?;
         }
         Ok(values)
     }
 
-    /// Codes of some samples of records, one record after another.
+    /// Codes of some samples of records, one record after another, by the thread's own file.
     fn read(&self, records: &[Record], samples: &Range<usize>, target: &mut [u8], cancel: &Cancel) -> io::Result<()> {
-        let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = rayon::current_thread_index().unwrap_or(0) % self.sources.len();
+        let mut source = self.sources[own].lock().unwrap_or_else(PoisonError::into_inner);
         Record::read_into(records, source.file(), samples, target, &mut || cancel.check())
     }
 }
 
-/// Values of codes of as many samples of each record, on all threads.
+/// Fills `target`, which has the same number of elements for each sample, block by block on all threads: each of some
+/// short records, or of a part of a long one. What is packed is unpacked from its beginning, and so not cut. `fill` has
+/// some room of its own.
+fn in_blocks<T: Send>(
+    records: &[Record],
+    samples: &Range<usize>,
+    target: &mut [T],
+    block: usize,
+    fill: impl Fn(&mut Vec<u8>, &[Record], Range<usize>, &mut [T]) -> io::Result<()> + Sync,
+) -> io::Result<()> {
+    if target.is_empty() {
+        return Ok(());
+    }
+    let (length, each) = (samples.len(), target.len() / (records.len() * samples.len()));
+    let is_plain = records.iter().all(|record| record.contiguous().is_some());
+    let (together, most) = ((block / length).max(1), if is_plain { block.min(length) } else { length });
+    let blocks = records.par_chunks(together).zip(target.par_chunks_mut(together * length * each));
+    blocks.try_for_each(|(records, target)| {
+        let starts = samples.clone().into_par_iter().step_by(most);
+        let parts = starts.zip(target.par_chunks_mut(records.len() * most * each));
+        parts.try_for_each_init(Vec::new, |room, (start, target)| {
+            fill(room, records, start..(start + most).min(samples.end), target)
+        })
+    })
+}
+
+/// Values of codes of as many samples of each record; of many on all threads.
 fn scale(records: &[Record], codes: &[u8], target: &mut [f64]) {
     let (length, width) = (target.len() / records.len(), records[0].head.code_type.bytes());
     let of_records = records.par_iter().zip(codes.par_chunks(length * width)).zip(target.par_chunks_mut(length));

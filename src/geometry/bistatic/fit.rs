@@ -70,7 +70,7 @@ impl Columns {
     }
 }
 
-/// The likeliest state near `start`; `None` where the onsets do not tell it.
+/// The likeliest state near `start`; `None` where the onsets do not determine it.
 pub(super) fn fit(problem: &Problem, labels: &[(usize, Vec<usize>)], start: &State) -> Option<Fit> {
     let model = StripModel { problem, labels, columns: Columns::new(problem) };
     let mut state = start.clone();

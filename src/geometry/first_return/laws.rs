@@ -30,7 +30,7 @@ const FACES_ERROR: f64 = 0.05;
 pub const MOST_ERROR: f64 = 0.36;
 /// An edge that lies so far behind the nearest point, in radii of the zone, takes nothing from first light.
 const UNSEEN: f64 = 3.0;
-/// Power of the likelihood by which a sheet and a block are told apart.
+/// Power of the likelihood by which a sheet and a block are distinguished.
 const FACES_TEMPER: f64 = 0.3;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
 const LEAST_SD: f64 = 0.05;

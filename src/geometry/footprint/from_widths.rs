@@ -91,7 +91,7 @@ pub struct Spread {
     pub is_limit: bool,
 }
 
-/// What widths tell.
+/// What widths show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sizes {
     /// Of each patch; `None` for a point.

@@ -45,7 +45,7 @@ const ANY_WIDTH: f64 = 0.01;
 const WIDEST_PS: f64 = 300.0;
 /// Light of other bounces is spread so many times as much as that of first ones: these meet patches at other angles.
 const OTHER_ANGLES: f64 = 1.5;
-/// The sd of a width that is told too small to be true.
+/// The sd of a width that is given too small to be true.
 const WIDTH_SD_MIN_PS: f64 = 0.5;
 /// Evidence beyond this many units of chi-square is as good as certain.
 const GAIN_MAX: f64 = 100.0;

@@ -1,4 +1,4 @@
-//! What scans tell without errors: to start from, and to compare with.
+//! What scans show without errors: to start from, and to compare with.
 
 use nalgebra::Vector3;
 

@@ -91,7 +91,7 @@ fn radii_of_spheres_and_cylinders_err_as_they_say() {
         for seed in 0..16 {
             let shapes = of_seed(seed, nearest);
             assert!(shapes.iter().all(|shape| shape.kind() == kind), "{shapes:?}");
-            // What is not sure is not told.
+            // What is not sure is not reported.
             let Some(shape) = shapes.first().filter(|shape| shape.members.len() > 500) else { continue };
             let [radius_m, sd_m] = shape.radius_m().unwrap();
             assert!(sd_m < 8e-3, "{sd_m}");

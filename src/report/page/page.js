@@ -59,9 +59,12 @@
     if (plot === viewer) { choose(choice.value); return; }
     const made = () => {
       const figure = parsed(plot.id + "-data");
-      // A narrow figure shows as much of the scene from farther away.
+      // A narrow figure shows as much of the scene from farther away, and its bars of colours lie above it.
       const eye = figure.layout.scene?.camera?.eye;
-      if (eye && plot.clientWidth < 600) for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
+      if (eye && plot.clientWidth < 600) {
+        for (const axis of ["x", "y", "z"]) eye[axis] *= 1.5;
+        for (const { marker } of figure.data) if (marker?.colorbar) Object.assign(marker.colorbar, { orientation: "h", x: 0.5, xanchor: "center", y: 1.02, yanchor: "bottom" });
+      }
       return figure;
     };
     await show(plot, made(), made);

@@ -146,7 +146,7 @@ fn autocorrelation(residuals: &[f64], count: usize) -> Vec<f64> {
     acf
 }
 
-/// The echoes of a fit with their errors; `None` where parameters cannot be told apart.
+/// The echoes of a fit with their errors; `None` where parameters cannot be distinguished.
 fn errors(fit: &Fit, noise: &Noise, outgoing: &Outgoing, stretch: &Stretch<'_>) -> Option<Vec<Echo>> {
     if fit.parts.is_empty() {
         return Some(Vec::new());
