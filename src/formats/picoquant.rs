@@ -161,7 +161,7 @@ impl Reader for PicoquantPtu {
         let t0_s = if is_t2 { Some(0.0) } else { Some(tags.offset_s("MeasDesc_Offset", WHOLE)?) };
         let description = input.description().clone();
         let is_cut = description.marker.is_some() || description.pixels.is_some();
-        let table = if !is_cut { Table::of(&events, input.file())? } else { None };
+        let table = if is_cut { None } else { Table::of(&events, input.file())? };
         let survey = match &table {
             Some(table) => table.survey(&events),
             None => events.survey(input, &description, Pixels::of(&description, &tags)?)?,

@@ -295,7 +295,7 @@ impl Reading {
     }
 
     /// Both pulses of an onset, and the covariance of their times.
-    fn add_parts(&mut self, onset: usize, parts: [Arrival; 2], with_other_ps2: f64) {
+    fn add_parts(&mut self, onset: usize, parts: &[Arrival; 2], with_other_ps2: f64) {
         self.arrivals.extend(parts);
         self.origins.extend([1, 2].map(|part| Origin { onset, part, with_other_ps2 }));
     }
@@ -437,7 +437,7 @@ impl Reading {
             }
         } else {
             let parts = parts.map(|part| Arrival { certainty: of_pair, ..part });
-            self.add_parts(onset, parts, item.with_other_ps2);
+            self.add_parts(onset, &parts, item.with_other_ps2);
             if of_whole >= KEPT {
                 self.lose(onset, 0, whole, verdict(best(0..item.wholes)[0], whole, of_whole));
             }
@@ -462,7 +462,7 @@ fn blind(profile: &Profile, widths: &Widths) -> Reading {
         let open = || Verdict::open();
         if of_pair > 0.5 {
             first.sd_ps = first.sd_ps.hypot((1.0 - of_pair).sqrt() * moved_ps);
-            reading.add_parts(onset, [first, second], covariance_ps2[1]);
+            reading.add_parts(onset, &[first, second], covariance_ps2[1]);
             if 1.0 - of_pair >= KEPT {
                 reading.lose(onset, 0, whole, Verdict { probability: 1.0 - of_pair, ..open() });
             }
