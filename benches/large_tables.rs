@@ -127,6 +127,7 @@ fn labels(campaign: &str, pair: [i32; 2]) -> Vec<Label> {
             part: 0,
             time_ps: onset.time_ps,
             time_sd_ps: onset.time_sd_ps,
+            covariance: onset.covariance,
             width_ps: Some(0.0),
             width_sd_ps: None,
             width_kurtosis: None,
