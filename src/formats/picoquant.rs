@@ -6,10 +6,10 @@
 //! each input channel with photons; dt is MeasDesc_Resolution, `t0_s` MeasDesc_Offset (ns). All have as many bins as
 //! the latest photon of the file needs; photons of all pixels of an image are one histogram, unless the caller names a
 //! `marker`: then each of its events begins a new one, a segment of its channel, and photons before the first are left
-//! out with a remark. Where markers tell lines alone, `pixels` cuts each line into so many equal times (`pixels.rs`), and
-//! segments count the pixels, line by line. `bin_ps` makes bins of several units of the time base. The instrument subtracts the offset (0 by
-//! default) from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1, others from
-//! 0. Several curves of one channel are its segments.
+//! out with a remark. Where markers tell lines alone, `pixels` cuts each line into so many equal times, and segments
+//! count the pixels, line by line. `bin_ps` makes bins of several units of the time base. The instrument subtracts the
+//! offset (0 by default) from each time after the sync. Channel numbers are those of the file: PicoHarps count from 1,
+//! others from 0. Several curves of one channel are its segments.
 //!
 //! .ptu in T2 mode: times count from the last event of the sync channel (channel 0 of a PicoHarp); photons before the
 //! first one are left out, and a file without such events is refused. dt is the resolution times the smallest power of
