@@ -324,8 +324,8 @@ fn markers_begin_histograms() {
     assert_eq!(values[1].iter().rposition(|count| *count == 1.0), Some(((1 << 25) + 1 - 5) / 512));
 }
 
-/// Two lines of 60 sync pulses, marker 1 at their start and marker 2 at their end, in three pixels each; the sync counter
-/// begins anew in the second one. Photons before, between and behind them count nowhere.
+/// Two lines of 60 sync pulses, marker 1 at their start and marker 2 at their end, in three pixels each; the sync
+/// counter begins anew in the second one. Photons before, between and behind them count nowhere.
 #[test]
 fn lines_are_cut_into_pixels() {
     let syncs = |start: u32, pixels: [u32; 3]| -> Vec<u32> {
