@@ -2,6 +2,10 @@
 
 use super::decision;
 use crate::tables::{Ambiguity, Decision, Hypothesis, SceneOdds};
+use crate::units::PatchId;
+
+/// Log-likelihoods that differ by less are the same but for rounding, to a reader.
+const ALIKE: f64 = 0.05;
 
 /// How many patches a search accepted, and the likeliest place that it did not. The last texts: the evidence without
 /// any place, and what would change the choice without a declined one.
@@ -39,18 +43,14 @@ pub(super) fn places(what: &str, count: usize, hypotheses: &[Hypothesis], [none,
 
 /// Which of two places, both of which first light allows, was taken.
 pub(super) fn place(scene: &SceneOdds) -> Decision {
-    let patches: Vec<String> = scene.patches.iter().map(ToString::to_string).collect();
     let (first, other) = ("the likeliest place by first light", format!("alternative {}", scene.alternative));
     let (chosen, runner_up) = if scene.taken { (other.as_str(), first) } else { (first, other.as_str()) };
-    let evidence = format!(
-        "with all bounces, the other place is less likely by a factor of {:.3e}",
-        (-scene.log_likelihood).exp()
-    );
+    let evidence = format!("with all bounces, the other place is {}", how_likely(scene.log_likelihood));
     Decision {
         runner_up: Some(runner_up.into()),
         log_likelihood_ratio: Some(-scene.log_likelihood),
         ..decision(
-            &format!("place: patches {}", patches.join(", ")),
+            &format!("place: {}", of_patches(&scene.patches)),
             chosen,
             &evidence,
             "a pair of these patches with one more neighbour",
@@ -60,13 +60,11 @@ pub(super) fn place(scene: &SceneOdds) -> Decision {
 
 /// What the onsets do not determine, next to the solution that was chosen.
 pub(super) fn other_solution(ambiguity: &Ambiguity) -> Decision {
-    let patches: Vec<String> = ambiguity.patches.iter().map(ToString::to_string).collect();
-    let which = if patches.is_empty() { "all patches".to_owned() } else { format!("patches {}", patches.join(", ")) };
+    let which = if ambiguity.patches.is_empty() { "all patches".to_owned() } else { of_patches(&ambiguity.patches) };
     let (chosen, evidence) = match (ambiguity.log_likelihood, ambiguity.sd_m) {
-        (Some(log_likelihood), _) => (
-            "the solution of `patches`",
-            format!("the other solution is less likely by a factor of {:.3e}", (-log_likelihood).exp()),
-        ),
+        (Some(log_likelihood), _) => {
+            ("the solution of `patches`", format!("the other solution is {}", how_likely(log_likelihood)))
+        }
         (None, Some(sd_m)) => {
             ("kept, with their errors", format!("in one direction known to {:.2} mm alone", 1e3 * sd_m))
         }
@@ -76,5 +74,25 @@ pub(super) fn other_solution(ambiguity: &Ambiguity) -> Decision {
         runner_up: ambiguity.alternative.map(|number| format!("alternative {number} of `patches`").into()),
         log_likelihood_ratio: ambiguity.log_likelihood.map(|log_likelihood| -log_likelihood),
         ..decision(&format!("{}: {which}", ambiguity.kind), chosen, &evidence, &ambiguity.meaning)
+    }
+}
+
+fn of_patches(patches: &[PatchId]) -> String {
+    let numbers: Vec<String> = patches.iter().map(ToString::to_string).collect();
+    let noun = if patches.len() == 1 { "patch" } else { "patches" };
+    format!("{noun} {}", numbers.join(", "))
+}
+
+/// How likely another choice is, by its log-likelihood less that of the chosen one.
+fn how_likely(log_likelihood: f64) -> String {
+    if log_likelihood.abs() < ALIKE {
+        return "as likely".to_owned();
+    }
+    let word = if log_likelihood < 0.0 { "less likely" } else { "likelier" };
+    let factor = log_likelihood.abs().exp();
+    if factor < 1e3 {
+        format!("{word} by a factor of {factor:.1}")
+    } else {
+        format!("{word} by a factor of {factor:.1e}")
     }
 }

@@ -29,7 +29,7 @@ fn decisions(context: &Context) -> Vec<Decision> {
 fn a_place_that_later_bounces_decide_is_a_decision() {
     let scene = SceneOdds { alternative: 1, patches: vec![4], taken: true, log_likelihood: -9.0 };
     let rows = decisions(&Context { scenes: vec![scene], ..context(fit(50.0, 50)) });
-    let place = rows.iter().find(|row| &*row.what == "place: patches 4").expect("each place is a decision");
+    let place = rows.iter().find(|row| &*row.what == "place: patch 4").expect("each place is a decision");
     assert_eq!((&*place.chosen, place.log_likelihood_ratio), ("alternative 1", Some(9.0)));
     assert_eq!(place.runner_up.as_deref(), Some("the likeliest place by first light"));
 }
@@ -72,10 +72,14 @@ fn other_solutions_keep_their_likelihood() {
         meaning: "pair 4 with 7".into(),
     }];
     let rows = decisions(&context);
-    let flip = rows.iter().find(|row| &*row.what == "flip: patches 4").expect("each ambiguity is a decision");
+    let flip = rows.iter().find(|row| &*row.what == "flip: patch 4").expect("each ambiguity is a decision");
     assert_eq!(flip.log_likelihood_ratio, Some(2.0));
     assert_eq!(flip.runner_up.as_deref(), Some("alternative 1 of `patches`"));
     assert_eq!(&*flip.would_change, "pair 4 with 7");
+    assert_eq!(&*flip.evidence, "the other solution is less likely by a factor of 7.4");
+    context.ambiguities[0].log_likelihood = Some(4e-11);
+    let rows = decisions(&context);
+    assert!(rows.iter().any(|row| &*row.evidence == "the other solution is as likely"));
 }
 
 /// The numbers are those of the rows, from 1.
