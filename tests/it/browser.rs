@@ -55,6 +55,17 @@ impl Browser {
         Some(browser)
     }
 
+    /// Gives pages this width, as a phone does.
+    pub fn narrow_to(&self, pixels: u32) {
+        let metrics = json!({ "width": pixels, "height": 844, "deviceScaleFactor": 1, "mobile": false });
+        self.command("goog/cdp/execute", &json!({ "cmd": "Emulation.setDeviceMetricsOverride", "params": metrics }));
+    }
+
+    /// Gives pages the width of the window again.
+    pub fn widen(&self) {
+        self.command("goog/cdp/execute", &json!({ "cmd": "Emulation.clearDeviceMetricsOverride", "params": {} }));
+    }
+
     /// Opens a file, and waits until it is loaded.
     pub fn visit(&self, file: &Path, anchor: &str) {
         let url = format!("file://{}{anchor}", file.display());

@@ -20,6 +20,8 @@ const MOST_BYTES: usize = 8_000_000;
 const MOST_BYTES_OF_ALL: usize = 15_000_000;
 /// Something stands on the screen within this time.
 const FIRST_PAINT_MS: f64 = 1000.0;
+/// Width of a phone.
+const PHONE_PIXELS: u32 = 390;
 
 /// Around the corner: a small campaign with three hidden patches.
 static CORNER: LazyLock<Lab> = LazyLock::new(|| {
@@ -296,8 +298,15 @@ fn figures_are_svg_with_something_in_it() {
     }
 }
 
-/// Opens a page, brings each plot into view, and waits until it is drawn.
+/// Opens a page, brings each plot into view, and waits until it is drawn; the same on a phone.
 fn is_drawn_whole(browser: &Browser, file: &Path) {
+    browser.narrow_to(PHONE_PIXELS);
+    is_drawn_at_this_width(browser, file);
+    browser.widen();
+    is_drawn_at_this_width(browser, file);
+}
+
+fn is_drawn_at_this_width(browser: &Browser, file: &Path) {
     browser.visit(file, "");
     browser.wait("first paint", "performance.getEntriesByName('first-contentful-paint').length");
     let paint_ms = browser.run("return performance.getEntriesByName('first-contentful-paint')[0].startTime;");
