@@ -124,7 +124,11 @@ pub fn differences(shots: &[(Codes<'_>, i64)], mean: &Mean) -> Vec<Vec<f64>> {
         }
         let offset = position.div_euclid(PHASES as i64) - mean.first_position;
         let (start, end) = ((-offset).max(0), (mean.mean.len() as i64 - later - offset).min(values.len() as i64));
-        (start..end).map(|n| values[n as usize] - moved[(n + offset + later) as usize]).collect()
+        if start >= end {
+            return Vec::new();
+        }
+        let beside = &moved[(start + offset + later) as usize..];
+        values[start as usize..end as usize].iter().zip(beside).map(|(value, mean)| value - mean).collect()
     };
     shots.iter().map(difference).collect()
 }
