@@ -68,7 +68,7 @@ impl Array {
             return Ok(None);
         }
         let (code_type, big_endian) = code_type(descr).ok_or_else(|| {
-            refuse(format!("numbers of type {descr} are not read; save them as i1, i2, i4, u1, u2, f4 or f8"))
+            refuse(format!("numbers of type {descr} are not read; save them as i1, i2, i4, u1, u2, u4, f4 or f8"))
         })?;
         let count = shape.iter().try_fold(1_u64, |product, &length| product.checked_mul(length));
         let needed = count.and_then(|count| count.checked_mul(code_type.bytes() as u64));
@@ -282,6 +282,7 @@ fn code_type(descr: &str) -> Option<(CodeType, bool)> {
         "u1" => CodeType::U8,
         "i2" => CodeType::I16,
         "u2" => CodeType::U16,
+        "u4" => CodeType::U32,
         "i4" => CodeType::I32,
         "f4" => CodeType::F32,
         "f8" => CodeType::F64,

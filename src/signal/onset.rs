@@ -154,7 +154,7 @@ pub fn leading_edge(samples: &[f64], fraction: f64, noise: Noise) -> Option<Cros
     let rivals = top.iter().filter(|sample| **sample > samples[peak] - top_sd).count() as f64;
     // Noise that is as large as a step also decides between which two samples the crossing lies: their weights are then
     // those of a mean crossing.
-    let slope = slope(samples, i);
+    let slope = slope(samples, i, combined_sd(samples, &[(i, -1.0), (i + 1, 1.0)], noise));
     let mixed = (2.0 * noise.variance(level).sqrt() / slope).min(1.0);
     let weight = |own: f64| ((1.0 - mixed) * own * own + mixed / 3.0).sqrt();
     let weights = [(i, weight(1.0 - later)), (i + 1, weight(later)), (peak, -fraction * rivals.powf(-0.25))];
@@ -190,21 +190,27 @@ pub fn constant_fraction(samples: &[f64], fraction: f64, delay: f64, noise: Nois
     let of_difference =
         |j: usize, weight: f64| [(j, weight * (1.0 - part)), (j + 1, weight * part), (j + whole, -weight * fraction)];
     let weights = [of_difference(i, 1.0 - later), of_difference(i + 1, later)].concat();
+    let step_sd = combined_sd(samples, &[of_difference(i, -1.0), of_difference(i + 1, 1.0)].concat(), noise);
     Some(Crossing {
         position: zero.position + part,
-        sd: combined_sd(samples, &weights, noise) / slope(&difference, i),
+        sd: combined_sd(samples, &weights, noise) / slope(&difference, i, step_sd),
         ..zero
     })
 }
 
-/// Slope from sample `i` to the next, for an error bar: over three steps where the edge is that long, since the inverse
-/// of a single step is all noise where bins are fine.
-fn slope(samples: &[f64], i: usize) -> f64 {
+/// Slope from sample `i` to the next, for an error bar. The more of the step is noise, of this standard deviation, the
+/// more it is the slope over three steps, where the edge is that long: the inverse of a single step is all noise where
+/// bins are fine.
+fn slope(samples: &[f64], i: usize, step_sd: f64) -> f64 {
     /// Share of the single step from which the edge counts as long.
     const LONG: f64 = 0.6;
+    /// Share of noise in a step at which both slopes count alike.
+    const NOISY: f64 = 0.25;
     let own = samples[i + 1] - samples[i];
     let around = (i > 0 && i + 2 < samples.len()).then(|| (samples[i + 2] - samples[i - 1]) / 3.0);
-    around.filter(|around| *around > LONG * own).unwrap_or(own)
+    let Some(around) = around.filter(|around| *around > LONG * own) else { return own };
+    let share = (step_sd / own).powi(2);
+    own + (around - own) * share / (share + NOISY * NOISY)
 }
 
 /// Standard deviation of a sum of samples, each with its weight; samples may come more than once.

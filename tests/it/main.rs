@@ -12,6 +12,7 @@ mod cli;
 mod cluster;
 mod commands;
 mod corner;
+mod counted_edges;
 mod design_wall;
 mod determinism;
 mod diff;

@@ -111,6 +111,37 @@ fn edges_of_counts_scatter_as_they_state() {
     }
 }
 
+/// A pulse with a steep front and a slow tail, whose slope changes from bin to bin, as counters have it.
+#[test]
+fn edges_of_counts_scatter_as_they_state_where_the_slope_changes() {
+    let mut rng = ChaCha8Rng::seed_from_u64(10);
+    let bin = |n: usize| {
+        let late = n as f64 - 40.3;
+        if late < 0.0 {
+            (-0.5 * (late / 2.6_f64).powi(2)).exp()
+        } else {
+            (-late / 4.0).exp() * 0.7 + 0.3 * (-late / 25.0).exp()
+        }
+    };
+    let shape: Vec<f64> = (0..120).map(bin).collect();
+    for height in [100.0, 1_000.0, 30_000.0] {
+        let noise = Noise { sd: 0.1, per_level: 1.0 };
+        for fraction in [0.2, 0.5, 0.8] {
+            let crossings: Vec<Crossing> = (0..2000)
+                .map(|_| {
+                    let count = |share: &f64| Poisson::new(height * share + 1e-9).expect("positive").sample(&mut rng);
+                    leading_edge(&shape.iter().map(count).collect::<Vec<_>>(), fraction, noise).expect("an edge")
+                })
+                .collect();
+            let mean = crossings.iter().map(|c| c.position).sum::<f64>() / 2000.0;
+            let seen = (crossings.iter().map(|c| (c.position - mean).powi(2)).sum::<f64>() / 1999.0).sqrt();
+            let stated = (crossings.iter().map(|c| c.sd * c.sd).sum::<f64>() / 2000.0).sqrt();
+            println!("{height} {fraction}: stated {stated:.4}, seen {seen:.4}, {:.2}", stated / seen);
+            assert!((0.88..1.12).contains(&(stated / seen)), "{height} {fraction}: stated {stated}, seen {seen}");
+        }
+    }
+}
+
 #[test]
 fn a_record_re_arms_below_its_level() {
     let samples = [0.0, 6.0, 7.0, 3.0, 6.0, 0.5, 5.0, 9.0, 0.0, 4.9, 2.0, 5.1];
