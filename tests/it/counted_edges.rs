@@ -1,5 +1,5 @@
-//! Error bars of edges on photon counts, through files and `run`: Poisson resamples of one measured pulse scatter as they
-//! state. `cargo test --release --test it counted_edges -- --nocapture` prints the ratios.
+//! Error bars of edges on photon counts, through files and `run`: Poisson resamples of one measured pulse scatter as
+//! they state. `cargo test --release --test it counted_edges -- --nocapture` prints the ratios.
 
 use std::fs;
 use std::path::Path;
