@@ -117,15 +117,7 @@ impl Scene {
             let sd_m = path_m(NOISE_PS, 1.0) * if nodes.len() == 3 { 1.0 } else { weaker };
             let length_m: f64 = nodes.windows(2).map(|leg| (self.at(leg[0]) - self.at(leg[1])).norm()).sum();
             let noise: f64 = StandardNormal.sample(rng);
-            Observation {
-                nodes,
-                length_m: length_m + sd_m * noise,
-                sd_m,
-                delay: None,
-                turns: 0,
-                common: Vec::new(),
-                shared: Vec::new(),
-            }
+            Observation::new(nodes, length_m + sd_m * noise, sd_m)
         };
         self.paths(fourth).into_iter().filter(is_there).map(observation).collect()
     }

@@ -160,15 +160,11 @@ fn gauss_newton() -> Kernel {
         let from = std::iter::once(Point::origin()).chain(way());
         let legs = from.zip(way().chain([Point::origin()]));
         let patches = patches.iter().map(|&patch| Node::Patch(patch));
-        Observation {
-            nodes: std::iter::once(Node::Station(0)).chain(patches).chain([Node::Station(0)]).collect(),
-            length_m: legs.map(|(a, b)| (b - a).norm()).sum(),
-            sd_m: 1e-3,
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
-        }
+        Observation::new(
+            std::iter::once(Node::Station(0)).chain(patches).chain([Node::Station(0)]).collect(),
+            legs.map(|(a, b)| (b - a).norm()).sum(),
+            1e-3,
+        )
     };
     let first = (0..points.len()).map(|a| observation(&[a]));
     let second = (0..points.len()).flat_map(|a| (0..a).map(move |b| [a, b])).map(|pair| observation(&pair));

@@ -23,15 +23,11 @@ pub fn measured(
     let delay_m = delay_sd_m * normal(rng);
     let observation = |(way, &sd_m): (&Way, &f64)| {
         let inner = way.patches.iter().map(|&patch| Node::Patch(patch));
-        Observation {
-            nodes: iter::once(Node::Station(way.source)).chain(inner).chain([Node::Station(way.sensor)]).collect(),
-            length_m: way.length_m(truth, stations) + delay_m + sd_m * normal(rng),
+        Observation::new(
+            iter::once(Node::Station(way.source)).chain(inner).chain([Node::Station(way.sensor)]).collect(),
+            way.length_m(truth, stations) + delay_m + sd_m * normal(rng),
             sd_m,
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
-        }
+        )
     };
     let observations = ways.iter().zip(sds_m).map(observation).collect();
     let nowhere = vec![Point::origin(); truth.len()];

@@ -65,14 +65,12 @@ impl Measured {
 
     pub fn problem(&self, start: Vec<Point>, delay_sd_m: f64) -> Problem {
         let origin = Node::Station(0);
-        let observation = |patches: &[usize], length: &Length| Observation {
-            nodes: std::iter::once(origin).chain(patches.iter().map(|&p| Node::Patch(p))).chain([origin]).collect(),
-            length_m: length.length_m,
-            sd_m: length.variance_m2.sqrt(),
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
+        let observation = |patches: &[usize], length: &Length| {
+            Observation::new(
+                std::iter::once(origin).chain(patches.iter().map(|&p| Node::Patch(p))).chain([origin]).collect(),
+                length.length_m,
+                length.variance_m2.sqrt(),
+            )
         };
         let first = self.first.iter().enumerate().map(|(i, length)| observation(&[i], length));
         let second = self.second.iter().map(|(a, b, length)| observation(&[*a, *b], length));

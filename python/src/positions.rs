@@ -177,15 +177,7 @@ pub fn solve_positions(
     let ends = Ends { stations: stations.len(), source, sensor };
     let nodes = ends.nodes(&paths, start.len(), times_ps.len())?;
     let lengths = times_ps.iter().zip(&sds_ps).map(|(time_ps, sd_ps)| (path_m(*time_ps, index), path_m(*sd_ps, index)));
-    let observation = |(nodes, (length_m, sd_m))| Observation {
-        nodes,
-        length_m,
-        sd_m,
-        delay: None,
-        turns: 0,
-        common: Vec::new(),
-        shared: Vec::new(),
-    };
+    let observation = |(nodes, (length_m, sd_m))| Observation::new(nodes, length_m, sd_m);
     let observations = nodes.into_iter().zip(lengths).map(observation).collect();
     let mut problem = Problem::new(start, space(dimensions)?, &stations, observations);
     problem.loss = named_loss(loss)?;

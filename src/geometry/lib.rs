@@ -51,7 +51,7 @@
 //! let path = |patches: &[usize], length_m: f64| {
 //!     let patches = patches.iter().map(|&patch| Node::Patch(patch));
 //!     let nodes = std::iter::once(source).chain(patches).chain([source]).collect();
-//!     Observation { nodes, length_m, sd_m: 0.001, delay: None, turns: 0, common: Vec::new(), shared: Vec::new() }
+//!     Observation::new(nodes, length_m, 0.001)
 //! };
 //! let observations = vec![path(&[0], 6.0), path(&[1], 8.0), path(&[0, 1], 12.0)];
 //! let start = vec![Point::new(2.5, 0.3, 0.0), Point::new(0.2, 4.5, 0.0)];

@@ -47,15 +47,7 @@ fn problem(points: &[Point], partners: usize, rng: &mut ChaCha8Rng) -> Problem {
         let between: f64 = (1..way.len()).map(|k| (at(k) - at(k - 1)).norm()).sum();
         let length_m = at(0).coords.norm() + between + at(way.len() - 1).coords.norm();
         let nodes = [origin].into_iter().chain(way.iter().map(|&patch| Node::Patch(patch))).chain([origin]).collect();
-        Observation {
-            nodes,
-            length_m: length_m + rng.random_range(-SD_M..SD_M),
-            sd_m: SD_M,
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
-        }
+        Observation::new(nodes, length_m + rng.random_range(-SD_M..SD_M), SD_M)
     };
     let mut observations = Vec::new();
     for patch in 0..points.len() {

@@ -211,14 +211,12 @@ impl Measured<'_> {
             first.iter().position(|(of, _)| *of == patch).expect("lengths are between patches with a first bounce")
         };
         let p0 = Node::Station(0);
-        let observation = |patches: &[PatchId], length: &Length| Observation {
-            nodes: iter::once(p0).chain(patches.iter().map(|&patch| Node::Patch(place(patch)))).chain([p0]).collect(),
-            length_m: length.length_m,
-            sd_m: length.variance_m2.sqrt(),
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
+        let observation = |patches: &[PatchId], length: &Length| {
+            Observation::new(
+                iter::once(p0).chain(patches.iter().map(|&patch| Node::Patch(place(patch)))).chain([p0]).collect(),
+                length.length_m,
+                length.variance_m2.sqrt(),
+            )
         };
         let first_bounces = first.iter().map(|(patch, length)| observation(&[*patch], length));
         let second_bounces = second.iter().map(|((a, b), length)| observation(&[*a, *b], length));

@@ -52,17 +52,12 @@ impl Measured {
     /// The same by the dense method, from a start.
     fn exactly(&self, start: &[Point], delay_sd_m: f64) -> exact::Solution {
         let origin = exact::Node::Station(0);
-        let observation = |patches: &[usize], length_m: f64| exact::Observation {
-            nodes: std::iter::once(origin)
-                .chain(patches.iter().map(|&p| exact::Node::Patch(p)))
-                .chain([origin])
-                .collect(),
-            length_m,
-            sd_m: SD_M,
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
+        let observation = |patches: &[usize], length_m: f64| {
+            exact::Observation::new(
+                std::iter::once(origin).chain(patches.iter().map(|&p| exact::Node::Patch(p))).chain([origin]).collect(),
+                length_m,
+                SD_M,
+            )
         };
         let first = self.first_m.iter().enumerate().map(|(i, length_m)| observation(&[i], *length_m));
         let second = room::all_pairs(start.len()).into_iter().zip(self.second_m.iter().zip(&self.sds));

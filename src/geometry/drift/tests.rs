@@ -36,15 +36,7 @@ fn day(drift_m: f64, factor: f64, seed: u64) -> Day {
         let mut nodes = vec![Node::Station(0), Node::Patch(lit), Node::Patch(seen), Node::Station(0)];
         nodes.dedup();
         let length_m = length_m + factor * SD_M * normal();
-        observations.push(Observation {
-            nodes,
-            length_m,
-            sd_m: SD_M,
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
-        });
+        observations.push(Observation::new(nodes, length_m, SD_M));
     }
     Day { truth, observations, walk_m }
 }

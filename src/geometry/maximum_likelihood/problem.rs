@@ -48,6 +48,12 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// Without a delay and laser periods, and with an error that no other has.
+    #[must_use]
+    pub fn new(nodes: Vec<Node>, length_m: f64, sd_m: f64) -> Self {
+        Self { nodes, length_m, sd_m, delay: None, turns: 0, common: Vec::new(), shared: Vec::new() }
+    }
+
     /// What common errors add to it, these in standard deviations; those that are missing are 0.
     #[must_use]
     pub fn common_m(&self, errors: &[f64]) -> f64 {

@@ -19,15 +19,7 @@ pub(super) fn observations(points: &[Point], sd_m: f64, rng: &mut ChaCha8Rng) ->
     let measure = |nodes: Vec<Node>| {
         let noise: f64 = StandardNormal.sample(rng);
         let length_m = way_m(&nodes, &[Point::origin()], points) + sd_m * noise;
-        Observation {
-            nodes,
-            length_m,
-            sd_m: sd_m.max(1e-6),
-            delay: Some(0),
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
-        }
+        Observation { delay: Some(0), ..Observation::new(nodes, length_m, sd_m.max(1e-6)) }
     };
     paths.into_iter().map(measure).collect()
 }

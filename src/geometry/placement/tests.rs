@@ -16,15 +16,11 @@ fn measured(truth: &[Point], stations: &[Point], ways: &[Way], sd_m: f64, seed: 
         let noise: f64 = StandardNormal.sample(&mut rng);
         let inner = way.patches.iter().map(|&patch| Node::Patch(patch));
         let ends = [Node::Station(way.source), Node::Station(way.sensor)];
-        Observation {
-            nodes: std::iter::once(ends[0]).chain(inner).chain([ends[1]]).collect(),
-            length_m: way.length_m(truth, stations) + sd_m * noise,
+        Observation::new(
+            std::iter::once(ends[0]).chain(inner).chain([ends[1]]).collect(),
+            way.length_m(truth, stations) + sd_m * noise,
             sd_m,
-            delay: None,
-            turns: 0,
-            common: Vec::new(),
-            shared: Vec::new(),
-        }
+        )
     };
     Problem::new(vec![Point::origin(); truth.len()], 3, stations, ways.iter().map(observation).collect())
 }

@@ -223,17 +223,11 @@ impl<'a> Model<'a> {
         let path = label.path.iter().flatten().map(|patch| Node::Patch(self.place(*patch)));
         let station = |name: &str| Node::Station(self.station_at[&(label.campaign.clone(), name.to_owned())]);
         let delay = self.context.latencies.delay_of(label);
+        let nodes = std::iter::once(station(LASER)).chain(path).chain([station(stations.of_sensor(&label.sensor))]);
         let mut observation = Observation {
-            nodes: std::iter::once(station(LASER))
-                .chain(path)
-                .chain([station(stations.of_sensor(&label.sensor))])
-                .collect(),
-            length_m: medium.path_m(label.time_ps),
-            sd_m: medium.path_m(label.time_sd_ps),
             delay: delay.and_then(|delay| self.delays.binary_search(delay).ok()),
             turns: label.turns,
-            common: Vec::new(),
-            shared: Vec::new(),
+            ..Observation::new(nodes.collect(), medium.path_m(label.time_ps), medium.path_m(label.time_sd_ps))
         };
         self.drift.iter().for_each(|drift| drift.add_to(label, &mut observation));
         observation
