@@ -62,7 +62,13 @@ pub fn covariance(
 ) -> Result<Mat<f64>, Option<(usize, Mat<f64>)>> {
     let is_open = |node: &Node| matches!(node, Node::Patch(patch) if open.contains(patch));
     let meets = |n: usize| rows.problem.observations[n].nodes.iter().any(is_open);
-    let avoids = |n: usize| !rows.observations_of(n).iter().any(|(part, _)| meets(*part));
+    let avoids = |n: usize| {
+        let mut avoids = true;
+        if n < rows.problem.observations.len() {
+            rows.for_parts(n, |part, _| avoids &= !meets(part));
+        }
+        avoids
+    };
     let (mut normal, _) = sums(rows, values, avoids);
     let size = normal.nrows();
     let stiff = (0..size).map(|i| normal[(i, i)]).fold(0.0, f64::max);

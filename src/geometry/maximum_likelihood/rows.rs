@@ -153,9 +153,12 @@ impl<'a> Rows<'a> {
         values.residual_m(&self.problem.observations[n])
     }
 
-    /// The observations whose residuals, each times a factor, make the residual of a term; none make that of a prior.
-    pub fn observations_of(&self, n: usize) -> &[(usize, f64)] {
-        if n < self.problem.observations.len() { self.observations.terms(n) } else { &[] }
+    /// Passes on the observations whose residuals, each times a factor, make that of an observation.
+    pub fn for_parts(&self, n: usize, mut take: impl FnMut(usize, f64)) {
+        match self.observations.terms(n) {
+            Some(parts) => parts.iter().for_each(|(part, factor)| take(*part, *factor)),
+            None => take(n, 1.0 / self.problem.observations[n].sd_m),
+        }
     }
 
     /// Sum of the losses of some terms.
@@ -177,14 +180,17 @@ impl<'a> Rows<'a> {
         let Problem { observations, anchors, rays, .. } = self.problem;
         let dimensions = self.layout.dimensions;
         let Some(n) = n.checked_sub(observations.len()) else {
-            let parts = self.observations.terms(n);
-            if let Some(terms) = terms {
-                parts.iter().for_each(|(part, factor)| self.path(values, *part, *factor, terms));
-                if parts.len() > 1 {
-                    add_up(terms);
+            let mut sum = 0.0;
+            self.for_parts(n, |part, factor| {
+                if let Some(terms) = &mut terms {
+                    self.path(values, part, factor, terms);
                 }
+                sum += factor * self.residual_m(values, part);
+            });
+            if let Some(terms) = terms.filter(|_| self.observations.terms(n).is_some()) {
+                add_up(terms);
             }
-            return parts.iter().map(|(part, factor)| factor * self.residual_m(values, *part)).sum();
+            return sum;
         };
         let Some(n) = n.checked_sub(anchors.len() * dimensions) else {
             let (anchor, k) = (&anchors[n / dimensions], n % dimensions);
@@ -240,8 +246,10 @@ impl<'a> Rows<'a> {
     /// The term has a residual, and its square a weight. A leg from a to b along u adds
     /// `-weight residual factor B (v_b - v_a)` at b and its negative at a, with `B = (I - u u') / length`.
     pub fn bend(&self, values: &Values, n: usize, (residual, weight): (f64, f64), vector: &[f64], sum: &mut [f64]) {
-        for (part, factor) in self.observations_of(n) {
-            self.bend_path(values, *part, -weight * residual * factor, vector, sum);
+        if n < self.problem.observations.len() {
+            self.for_parts(n, |part, factor| {
+                self.bend_path(values, part, -weight * residual * factor, vector, sum);
+            });
         }
     }
 

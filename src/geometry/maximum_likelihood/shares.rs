@@ -56,17 +56,16 @@ pub fn shares(covariance: &Mat<f64>) -> Vec<Vec<(usize, f64)>> {
 
 /// Takes residuals of observations, as lengths, to independent ones of variance 1.
 pub(super) struct Whitener {
-    /// Where the terms of each observation begin, and where those of the last one end.
-    starts: Vec<usize>,
-    /// The observations whose residuals are added up, and their factors; an observation itself is the last of its own.
-    terms: Vec<(usize, f64)>,
+    /// Of each observation that shares errors, the observations whose residuals are added up, itself the last, and
+    /// their factors. Empty for one that shares none; without any that does, for none at all.
+    terms: Vec<Vec<(usize, f64)>>,
 }
 
 impl Whitener {
     pub(super) fn new(observations: &[Observation]) -> Self {
-        let mut of_each: Vec<Vec<(usize, f64)>> =
-            observations.iter().enumerate().map(|(n, observation)| vec![(n, 1.0 / observation.sd_m)]).collect();
-        for group in sharing(observations) {
+        let groups = sharing(observations);
+        let mut terms = if groups.is_empty() { Vec::new() } else { vec![Vec::new(); observations.len()] };
+        for group in groups {
             let covariance = Mat::from_fn(group.len(), group.len(), |i, j| {
                 let (a, b) = (&observations[group[i]], &observations[group[j]]);
                 if i == j { a.sd_m * a.sd_m } else { product(&a.shared, &b.shared) }
@@ -75,29 +74,23 @@ impl Whitener {
             let mut inverse = Mat::identity(group.len(), group.len());
             factored.whiten(&mut inverse);
             for (i, &n) in group.iter().enumerate() {
-                of_each[n] =
-                    (0..=i).map(|j| (group[j], inverse[(i, j)])).filter(|(_, factor)| *factor != 0.0).collect();
+                terms[n] = (0..=i).map(|j| (group[j], inverse[(i, j)])).filter(|(_, factor)| *factor != 0.0).collect();
             }
         }
-        let starts = std::iter::once(0)
-            .chain(of_each.iter().scan(0, |end, terms| {
-                *end += terms.len();
-                Some(*end)
-            }))
-            .collect();
-        Self { starts, terms: of_each.concat() }
+        Self { terms }
     }
 
-    /// The observations whose residuals make that of one, and their factors.
-    pub(super) fn terms(&self, observation: usize) -> &[(usize, f64)] {
-        &self.terms[self.starts[observation]..self.starts[observation + 1]]
+    /// The observations whose residuals make that of one which shares errors, and their factors.
+    pub(super) fn terms(&self, observation: usize) -> Option<&[(usize, f64)]> {
+        self.terms.get(observation).map(Vec::as_slice).filter(|terms| !terms.is_empty())
     }
 }
 
 /// Observations that share errors, directly or over others, in ascending order.
 fn sharing(observations: &[Observation]) -> Vec<Vec<usize>> {
-    let errors = observations.iter().flat_map(|observation| &observation.shared).map(|(error, _)| error + 1).max();
-    let mut first_with = vec![None; errors.unwrap_or(0)];
+    let errors = observations.iter().flat_map(|observation| &observation.shared).map(|(error, _)| error + 1);
+    let Some(count) = errors.max() else { return Vec::new() };
+    let mut first_with = vec![None; count];
     let mut groups = Groups::new(observations.len());
     for (n, observation) in observations.iter().enumerate() {
         for (error, _) in &observation.shared {
