@@ -180,17 +180,18 @@ impl<'a> Rows<'a> {
         let Problem { observations, anchors, rays, .. } = self.problem;
         let dimensions = self.layout.dimensions;
         let Some(n) = n.checked_sub(observations.len()) else {
-            let mut sum = 0.0;
-            self.for_parts(n, |part, factor| {
-                if let Some(terms) = &mut terms {
-                    self.path(values, part, factor, terms);
+            let Some(parts) = self.observations.terms(n) else {
+                let sd_m = observations[n].sd_m;
+                if let Some(terms) = terms {
+                    self.path(values, n, 1.0 / sd_m, terms);
                 }
-                sum += factor * self.residual_m(values, part);
-            });
-            if let Some(terms) = terms.filter(|_| self.observations.terms(n).is_some()) {
+                return self.residual_m(values, n) / sd_m;
+            };
+            if let Some(terms) = terms {
+                parts.iter().for_each(|(part, factor)| self.path(values, *part, *factor, terms));
                 add_up(terms);
             }
-            return sum;
+            return parts.iter().map(|(part, factor)| factor * self.residual_m(values, *part)).sum();
         };
         let Some(n) = n.checked_sub(anchors.len() * dimensions) else {
             let (anchor, k) = (&anchors[n / dimensions], n % dimensions);
