@@ -98,8 +98,8 @@ impl Array {
     }
 }
 
-/// A whole array with all of its axes, from the bytes of its file: also single numbers, and integers of 32 and 64 bits
-/// without a sign or with, which become floating numbers.
+/// A whole array with all of its axes, from the bytes of its file: also single numbers, and integers of 64 bits without
+/// a sign or with, which become floating numbers.
 ///
 /// # Errors
 /// When the bytes contradict the format, or are no numbers.
@@ -109,7 +109,6 @@ pub(super) fn whole(bytes: &[u8]) -> Result<array::Array, FormatError> {
     let (order, name) = descr.split_at_checked(1).unwrap_or(("", descr));
     let width = match name {
         "i8" | "u8" => 8,
-        "u4" => 4,
         _ => code_type(descr).map_or(0, |(code_type, _)| code_type.bytes()),
     };
     if width == 0 {
@@ -129,10 +128,6 @@ pub(super) fn whole(bytes: &[u8]) -> Result<array::Array, FormatError> {
     }
     let (code_type, codes) = match (name, code_type(descr)) {
         (_, Some((code_type, _))) => (code_type, codes),
-        ("u4", None) => {
-            let long = codes.chunks_exact(4).flat_map(|code| [code, &[0; 4]].concat()).collect::<Vec<u8>>();
-            (CodeType::F64, array::from_long(&long, false))
-        }
         (_, None) => (CodeType::F64, array::from_long(&codes, name == "i8")),
     };
     Ok(array::Array { axes, code_type, codes })
@@ -451,7 +446,7 @@ mod tests {
                 .contains("structured")
         );
         for (descr, is_valid) in
-            [("<i2", true), ("|u1", true), ("|i2", false), ("<c8", false), ("", false), ("<u4", false)]
+            [("<i2", true), ("|u1", true), ("|i2", false), ("<c8", false), ("", false), (">u4", true), ("<u8", false)]
         {
             assert_eq!(code_type(descr).is_some(), is_valid, "{descr}");
         }
