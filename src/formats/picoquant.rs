@@ -259,11 +259,14 @@ impl Events {
             })?;
             return Ok(survey);
         };
-        let (survey, cut) = match pixels {
-            Some(pixels) => (pixels.survey(self, input, most)?, 0),
+        let survey = match pixels {
+            Some(pixels) => pixels.survey(self, input, most)?,
             None => self.cut_at(marker, input, most)?,
         };
-        let parts = survey.stretches.len().max(cut);
+        let parts = survey.stretches.len();
+        if parts == 0 {
+            return Err(Key::Marker.refuse(format!("= {marker}: no such marker is in the file; take it out")).into());
+        }
         let channels = survey.channels.iter().filter(|is_there| **is_there).count();
         if parts.saturating_mul(channels.max(1)) > most {
             let problem = format!("= {marker} gives {parts} histograms on {channels} channels, too many for the file");
@@ -272,8 +275,8 @@ impl Events {
         Ok(survey)
     }
 
-    /// The events cut at those of a marker, of which there are so many; only `most` make histograms.
-    fn cut_at(&self, marker: u32, input: &mut dyn Input, most: usize) -> Result<(Survey, usize), FormatError> {
+    /// The events cut at those of a marker, of which there may be `most`.
+    fn cut_at(&self, marker: u32, input: &mut dyn Input, most: usize) -> Result<Survey, FormatError> {
         let (mut survey, mut markers) = (Survey::cut_up(), 0);
         let bit = 1 << (marker.clamp(1, MARKERS) - 1);
         self.start().each(input.file(), |number, clock, event| {
@@ -288,10 +291,11 @@ impl Events {
             }
             Ok(())
         })?;
-        if markers == 0 {
-            return Err(Key::Marker.refuse(format!("= {marker}: no such marker is in the file; take it out")).into());
+        if markers > most {
+            let problem = format!("= {marker} gives {markers} histograms, too many for the file");
+            return Err(Key::Marker.refuse(format!("{problem}; cut the measurement into files")).into());
         }
-        Ok((survey, markers))
+        Ok(survey)
     }
 }
 

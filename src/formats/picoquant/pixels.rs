@@ -46,7 +46,7 @@ impl Pixels {
         Ok(Some(Self { start: bit(marker), stop: stop.map_or(0, bit), of_line: pixels.max(1).into() }))
     }
 
-    /// What the events are together, cut at the pixels; at `most` so many of them.
+    /// What the events are together, cut at the pixels, at `most` so many; into none where no line begins.
     pub(super) fn survey(&self, events: &Events, input: &mut dyn Input, most: usize) -> Result<Survey, FormatError> {
         let lines = self.lines(events, input, most)?;
         let mut survey = Survey::cut_up();
@@ -97,9 +97,7 @@ impl Pixels {
             [.., line, _] => line.end.map(|end| end.saturating_sub(line.start)),
             _ => None,
         };
-        let Some(last) = lines.last_mut() else {
-            return Err(Key::Marker.refuse(": no such marker is in the file; take it out").into());
-        };
+        let Some(last) = lines.last_mut() else { return Ok(lines) };
         last.end = last.end.or(took.map(|took| last.start.saturating_add(took)));
         if last.end.is_none() {
             return Err(Key::Pixels.refuse("cuts lines, and the only line of the file has no end; take it out").into());

@@ -7,8 +7,9 @@ use super::events::Layout;
 use super::{Events, PIECE_BYTES, Survey, WORD_BYTES};
 use crate::waveform::ReadSeek;
 
-/// Fewest events that are worth the memory of a table; the largest table has 16 MiB.
-const LEAST_EVENTS: u64 = 1 << 16;
+/// Combinations of channel and time, and times of a channel: of a PicoHarp, of others.
+const PICO_HARP: (usize, usize) = (1 << 16, 1 << 12);
+const HYDRA_HARP: (usize, usize) = (1 << 22, 1 << 15);
 
 /// Counts of photons by channel and time.
 pub(super) struct Table {
@@ -18,22 +19,28 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Counts all events. `None` where a table does not serve: for events of T2 mode, for few of them, for more than a
-    /// count may hold, and where some are on channels that the instrument does not have.
+    /// Counts all events. `None` where a table does not serve: for events of T2 mode, for fewer than it has counts (it
+    /// is no larger than the file then), for more than a count may hold, and where some are on channels that the
+    /// instrument does not have.
     pub(super) fn of(events: &Events, file: &mut dyn ReadSeek) -> io::Result<Option<Self>> {
-        if !(LEAST_EVENTS..=u32::MAX.into()).contains(&events.count) {
+        let (least, _) = if events.layout == Layout::PicoHarpT3 { PICO_HARP } else { HYDRA_HARP };
+        if events.layout.is_t2() || !(least as u64..=u32::MAX.into()).contains(&events.count) {
             return Ok(None);
         }
-        // Special events have an index too: they are channel 15 of a PicoHarp, and the upper half of the other table.
-        let (counts, times) = match events.layout {
-            Layout::PicoHarpT3 => (counts::<{ 1 << 16 }>(events, file)?, 1 << 12),
-            Layout::HydraHarpT3 { .. } => (counts::<{ 1 << 22 }>(events, file)?, 1 << 15),
-            Layout::PicoHarpT2 | Layout::HydraHarpT2 { .. } => return Ok(None),
-        };
-        let table = Self { counts, times };
+        let table = Self::count(events, file)?;
         let is_damaged = events.layout == Layout::PicoHarpT3
             && (0..15).any(|channel| !(1..=4).contains(&channel) && table.last(channel).is_some());
         Ok((!is_damaged).then_some(table))
+    }
+
+    /// Counts events of T3 mode. Special ones have a count too: they are channel 15 of a PicoHarp, and the upper half of
+    /// the other table.
+    pub(super) fn count(events: &Events, file: &mut dyn ReadSeek) -> io::Result<Self> {
+        Ok(if events.layout == Layout::PicoHarpT3 {
+            Self { counts: counts::<{ PICO_HARP.0 }>(events, file)?, times: PICO_HARP.1 }
+        } else {
+            Self { counts: counts::<{ HYDRA_HARP.0 }>(events, file)?, times: HYDRA_HARP.1 }
+        })
     }
 
     fn of_channel(&self, channel: usize) -> &[u32] {

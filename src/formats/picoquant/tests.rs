@@ -150,23 +150,35 @@ fn a_table_of_counts_has_those_of_single_events() {
         (0..count).map(|_| pico_harp([1, 2, 4, 15][random() as usize % 4], random() % 3001, random() % 99)).collect();
     let hydra_harps: Vec<u32> =
         (0..count).map(|_| hydra_harp(random() / 9 % 2, random() % 64, random() % 2999, random() % 1024)).collect();
-    for (record_type, events) in [(0x1_0303, pico_harps), (0x1_0307, hydra_harps)] {
-        for units in [1, 3] {
-            let (records, values) = described(&ptu(record_type, &events), Some(4.0 * f64::from(units)), None).unwrap();
-            for (record, values) in records.iter().zip(values) {
-                let mut counts = vec![0.0; record.head.samples];
-                let mut clock = Clock::new(Layout::of(record_type).unwrap());
-                for event in &events {
-                    let Event::Photon(channel, time) = clock.event(*event).unwrap() else { continue };
-                    if record.head.channel == Some(channel.to_string()) {
-                        counts[time as usize / units as usize] += 1.0;
-                    }
-                }
-                assert_eq!(values, counts);
+    let by_event = |record_type: u64, events: &[u32], of: usize, units: usize, bins: usize| {
+        let (mut counts, mut clock) = (vec![0_u32; bins], Clock::new(Layout::of(record_type).unwrap()));
+        for event in events {
+            match clock.event(*event).unwrap() {
+                Event::Photon(channel, time) if channel == of => counts[time as usize / units] += 1,
+                _ => {}
             }
-            assert_eq!(records.len(), if record_type == 0x1_0303 { 3 } else { 64 });
+        }
+        counts
+    };
+    for (record_type, events, channels) in [(0x1_0303, &pico_harps, 3), (0x1_0307, &hydra_harps, 64)] {
+        let bytes: Vec<u8> = events.iter().flat_map(|event| event.to_le_bytes()).collect();
+        let all = Events { byte_offset: 0, count: count as u64, layout: Layout::of(record_type).unwrap() };
+        let table = Table::count(&all, &mut io::Cursor::new(bytes)).unwrap();
+        let survey = table.survey(&all);
+        assert_eq!(survey.channels.iter().filter(|is_there| **is_there).count(), channels);
+        for (channel, units) in (0..64).filter(|channel| survey.channels[*channel]).zip([1, 3].into_iter().cycle()) {
+            let bins = survey.times.div_ceil(units as u64) as usize;
+            let expected: Vec<u8> =
+                by_event(record_type, events, channel, units, bins).iter().flat_map(|n| n.to_le_bytes()).collect();
+            assert_eq!(table.histogram(channel, bins, units), expected, "{record_type:#x} {channel}");
         }
     }
+    // A file is counted so where the table is no larger than it.
+    let (records, values) = described(&ptu(0x1_0303, &pico_harps), Some(4.0), None).unwrap();
+    let counts = by_event(0x1_0303, &pico_harps, 1, 1, records[0].head.samples);
+    assert_eq!(values[0], counts.iter().map(|count| f64::from(*count)).collect::<Vec<_>>());
+    let few = Events { byte_offset: 0, count: count as u64, layout: Layout::of(0x1_0307).unwrap() };
+    assert!(Table::of(&few, &mut io::empty()).unwrap().is_none());
     // A channel that a PicoHarp does not have is named as it is among few events.
     let mut damaged = vec![pico_harp(1, 3, 0); count];
     damaged[count - 1] = pico_harp(7, 0, 0);

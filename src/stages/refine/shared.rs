@@ -24,6 +24,9 @@ pub fn shares_ps(labels: &[Label]) -> Vec<Vec<(usize, f64)>> {
 
 /// Of the times of two labels of one profile; 0 where their table does not have it.
 fn covariance_ps2(a: &Label, b: &Label) -> f64 {
-    let with = |of: &Label, rank: i32| of.covariance.get(rank as usize - 1).copied().unwrap_or(0.0);
+    let with = |of: &Label, rank: i32| {
+        let place = usize::try_from(rank - 1).ok();
+        place.and_then(|place| of.covariance.get(place)).copied().unwrap_or(0.0)
+    };
     0.5 * (with(a, b.rank) + with(b, a.rank))
 }
