@@ -56,6 +56,7 @@ class Results(Folder):
         patch: int | None = None,
         distance: tuple[int, int] | None = None,
         onset: tuple[str, int, int, int] | None = None,
+        echo: tuple[str, int, int] | None = None,
         table: str | None = None,
         campaign: Sequence[StrPath] = (),
     ) -> dict[str, Any]:
@@ -69,6 +70,8 @@ class Results(Folder):
             Explain the distance of these patches.
         onset : (str, int, int, int), optional
             Explain this onset: sensor, lit patch, seen patch, rank.
+        echo : (str, int, int), optional
+            Explain this echo of a lidar: run (its raw file), pulse, echo.
         table : str, optional
             Table, if several have such rows; by default the last one of the dataflow.
         campaign : sequence of paths
@@ -92,11 +95,13 @@ class Results(Folder):
                 ("patch", patch),
                 ("distance", distance and ",".join(map(str, distance))),
                 ("onset", onset and ",".join(map(str, onset))),
+                ("echo", echo and ",".join(map(str, echo))),
             )
             if value is not None
         ]
         if len(named) != 1:
-            raise ValueError("name one row: patch=3, distance=(3, 4) or onset=('s1', 3, 4, 2)")
+            forms = "patch=3, distance=(3, 4), onset=('s1', 3, 4, 2) or echo=('raw/strip1.pls', 17, 1)"
+            raise ValueError(f"name one row: {forms}")
         return json.loads(self.explain_json(named[0], table, list(campaign)))
 
     def report(self, to: StrPath | None = None) -> Path:

@@ -29,7 +29,7 @@ use periscope::pipeline::spec::{Definition, Reference, Spec, Step};
 use periscope::stages::Node;
 use periscope::store::Shelf;
 use periscope::store::finite::NotJson;
-use periscope::tables::{Calibration, Echo, Reject, Row};
+use periscope::tables::{Calibration, Echo, Measurement, Reject, Row};
 
 use super::SOME_REJECTED;
 use super::output::{Format, Output, json, print, print_text};
@@ -153,13 +153,24 @@ fn look(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path) -> Result
     let mut rejects = run(&measured, &shelf, &pipeline, None)?;
     let calibrating: Vec<Reject> = calibrating.into_iter().filter(|reject| !rejects.contains(reject)).collect();
     rejects.extend(calibrating);
-    let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
     let mut measurements = table(&shelf, "measurements")?;
     measurements.extend(table(&shelf, "session_measurements")?);
-    let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
-    coverage::fill(&mut report, campaign, survey, &measurements, &left_out, &uncalibrated);
+    let mut report = report_of_captures(campaign, survey, &measurements, &uncalibrated)?;
     quality::fill(&mut report, &measurements, table(&shelf, "checks")?, &rejects);
     report.fix.extend(missing.map(|missing| missing.words()));
+    Ok(report)
+}
+
+/// What was captured, and what is missing.
+fn report_of_captures(
+    campaign: &Campaign,
+    survey: &Survey,
+    measurements: &[Measurement],
+    uncalibrated: &BTreeSet<String>,
+) -> Result<Report> {
+    let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
+    let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
+    coverage::fill(&mut report, campaign, survey, measurements, &left_out, uncalibrated);
     Ok(report)
 }
 
@@ -170,9 +181,7 @@ fn look_at_flight(campaign: &Campaign, survey: &Survey, spec: &Spec, out: &Path)
     let decompose = spec.steps.iter().find(|step| step.node.kind() == "decompose");
     let params = decompose.map_or(Ok(Vec::new()), |step| settings_of(step, "echoes"))?;
     let rejects = run(campaign, &shelf, &Spec::parse("check", flight::PIPELINE, &params)?, None)?;
-    let mut report = Report { campaign: campaign.name.clone(), ..Report::default() };
-    let left_out = left_out(&campaign.root, survey, Manifest::load(&campaign.root)?.as_ref());
-    coverage::fill(&mut report, campaign, survey, &[], &left_out, &BTreeSet::new());
+    let mut report = report_of_captures(campaign, survey, &[], &BTreeSet::new())?;
     quality::fill(&mut report, &[], Vec::new(), &rejects);
     flight::fill(&mut report, &table::<Echo>(&shelf, "echoes")?);
     Ok(report)

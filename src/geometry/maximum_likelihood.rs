@@ -23,6 +23,7 @@
 
 mod dense_steps;
 mod freedom;
+mod groups;
 mod matrix_free;
 mod outliers;
 mod problem;

@@ -51,6 +51,7 @@ mod relay_wall;
 mod runners_up;
 mod waveforms;
 
+pub use runners_up::are_alike;
 pub use waveforms::is_by_chance;
 
 use std::collections::BTreeMap;

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use periscope::campaign::Role;
 use periscope::tables::Echo;
 
 use super::report::Report;
@@ -21,7 +22,7 @@ from = "pulses"
 pub fn fill(report: &mut Report, echoes: &[Echo]) {
     let mut sensors: BTreeMap<&str, Vec<&Echo>> = BTreeMap::new();
     echoes.iter().for_each(|echo| sensors.entry(&echo.sensor).or_default().push(echo));
-    for captures in &report.captures {
+    for captures in report.captures.iter().filter(|captures| captures.role == Role::Scene.name()) {
         if !sensors.contains_key(captures.sensor.as_str()) {
             report.fix.push(format!("sensor {}: no pulse has an echo", captures.sensor));
         }

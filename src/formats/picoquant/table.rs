@@ -33,8 +33,8 @@ impl Table {
         Ok((!is_damaged).then_some(table))
     }
 
-    /// Counts events of T3 mode. Special ones have a count too: they are channel 15 of a PicoHarp, and the upper half of
-    /// the other table.
+    /// Counts events of T3 mode. Special ones have a count too: they are channel 15 of a PicoHarp, and the upper half
+    /// of the other table.
     pub(super) fn count(events: &Events, file: &mut dyn ReadSeek) -> io::Result<Self> {
         Ok(if events.layout == Layout::PicoHarpT3 {
             Self { counts: counts::<{ PICO_HARP.0 }>(events, file)?, times: PICO_HARP.1 }

@@ -7,6 +7,7 @@
 use faer::Mat;
 use nalgebra::Vector3;
 
+use super::groups::Groups;
 use super::matrix_free::{self, Matrix};
 use super::problem::{Node, Observation, Problem};
 use super::rows::{Rows, Values};
@@ -23,34 +24,15 @@ const GONE: f64 = 1e-6;
 /// A rotation that changes no path by more than this (squared, relative to the stiffest direction) is free.
 const FREE: f64 = 1e-10;
 
-/// The patch that stands for all of a group.
-fn find(root: &mut [usize], mut patch: usize) -> usize {
-    while root[patch] != patch {
-        root[patch] = root[root[patch]];
-        patch = root[patch];
-    }
-    patch
-}
-
 /// Groups of patches that are joined by paths, largest first.
 pub fn parts(problem: &Problem) -> Vec<Vec<usize>> {
-    let mut root: Vec<usize> = (0..problem.start.len()).collect();
+    let mut groups = Groups::new(problem.start.len());
     for observation in &problem.observations {
-        let mut patches = observation.nodes.iter().filter_map(|node| match node {
-            Node::Patch(patch) => Some(*patch),
-            Node::Station(_) => None,
-        });
+        let mut patches = observation.nodes.iter().filter_map(Node::patch);
         let Some(first) = patches.next() else { continue };
-        for patch in patches {
-            let (a, b) = (find(&mut root, first), find(&mut root, patch));
-            root[a.max(b)] = a.min(b);
-        }
+        patches.for_each(|patch| groups.join(first, patch));
     }
-    let mut parts: Vec<Vec<usize>> = vec![Vec::new(); problem.start.len()];
-    for patch in 0..problem.start.len() {
-        parts[find(&mut root, patch)].push(patch);
-    }
-    parts.retain(|part| !part.is_empty());
+    let mut parts = groups.sets();
     parts.sort_by_key(|part| (std::cmp::Reverse(part.len()), part[0]));
     parts
 }

@@ -8,6 +8,7 @@
 use faer::Mat;
 
 use super::Observation;
+use super::groups::Groups;
 use crate::dense;
 
 /// Correlations below this change no position by a percent of its standard deviation.
@@ -104,35 +105,6 @@ fn sharing(observations: &[Observation]) -> Vec<Vec<usize>> {
 fn product(a: &[(usize, f64)], b: &[(usize, f64)]) -> f64 {
     let pairs = a.iter().flat_map(|a| b.iter().map(move |b| (a, b)));
     pairs.filter(|((one, _), (other, _))| one == other).map(|((_, a), (_, b))| a * b).sum()
-}
-
-/// Sets of numbers that are joined one by one (union-find).
-struct Groups(Vec<usize>);
-
-impl Groups {
-    fn new(count: usize) -> Self {
-        Self((0..count).collect())
-    }
-
-    fn first(&self, mut number: usize) -> usize {
-        while self.0[number] != number {
-            number = self.0[number];
-        }
-        number
-    }
-
-    fn join(&mut self, a: usize, b: usize) {
-        let (a, b) = (self.first(a), self.first(b));
-        self.0[a.max(b)] = a.min(b);
-    }
-
-    /// All sets, each in ascending order.
-    fn sets(&self) -> Vec<Vec<usize>> {
-        let mut sets = vec![Vec::new(); self.0.len()];
-        (0..self.0.len()).for_each(|number| sets[self.first(number)].push(number));
-        sets.retain(|set| !set.is_empty());
-        sets
-    }
 }
 
 #[cfg(test)]

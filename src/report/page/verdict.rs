@@ -6,14 +6,13 @@ use super::words::{count, marked, sig};
 use crate::report::Report;
 use crate::report::scene::Scene;
 use crate::report::verdict::{Goodness, Word};
+use crate::stages::conclude::are_alike;
 
 /// Reasons that are listed at most.
 const REASONS: usize = 6;
 /// Smaller and larger chances are not distinguished.
 const LEAST_CHANCE: f64 = 1e-6;
 const MOST_CHANCE: f64 = 0.99;
-/// Log-likelihoods that differ by less are not told apart.
-const ALIKE: f64 = 0.05;
 
 /// The verdict, in a box whose colour and mark say the same as its word.
 pub fn verdict(report: &Report) -> Markup {
@@ -113,7 +112,7 @@ pub fn decisions(report: &Report) -> Markup {
                                     td.text { (marked(&row.evidence)) }
                                     td.text {
                                         (marked(row.runner_up.as_deref().unwrap_or("-")))
-                                        @if let Some(ratio) = row.log_likelihood_ratio.filter(|ratio| ratio.abs() >= ALIKE) { ", log-likelihood less by " (sig(ratio, 3)) }
+                                        @if let Some(ratio) = row.log_likelihood_ratio.filter(|ratio| !are_alike(*ratio)) { ", log-likelihood less by " (sig(ratio, 3)) }
                                     }
                                     td.text { (marked(&row.would_change)) }
                                 }

@@ -4,8 +4,14 @@ use super::decision;
 use crate::tables::{Ambiguity, Decision, Hypothesis, SceneOdds};
 use crate::units::PatchId;
 
-/// Log-likelihoods that differ by less are the same but for rounding, to a reader.
+/// Log-likelihoods that differ by less are the same to a reader.
 const ALIKE: f64 = 0.05;
+
+/// Whether two choices are as likely, by the difference of their log-likelihoods.
+#[must_use]
+pub fn are_alike(log_likelihood: f64) -> bool {
+    log_likelihood.abs() < ALIKE
+}
 
 /// How many patches a search accepted, and the likeliest place that it did not. The last texts: the evidence without
 /// any place, and what would change the choice without a declined one.
@@ -85,7 +91,7 @@ fn of_patches(patches: &[PatchId]) -> String {
 
 /// How likely another choice is, by its log-likelihood less that of the chosen one.
 fn how_likely(log_likelihood: f64) -> String {
-    if log_likelihood.abs() < ALIKE {
+    if are_alike(log_likelihood) {
         return "as likely".to_owned();
     }
     let word = if log_likelihood < 0.0 { "less likely" } else { "likelier" };
