@@ -70,7 +70,7 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
 }
 
 /// Of an onset or a part of it with all onsets of its profile; that of a part with others is its onset's.
-fn covariance_ps2(onset: &Onset, origin: Origin) -> Vec<f64> {
+pub(super) fn covariance_ps2(onset: &Onset, origin: Origin) -> Vec<f64> {
     let mut all = covariances::of_onset_ps2(onset);
     if let (1.., Some(own)) = (origin.part, all.get_mut(onset.rank as usize - 1)) {
         *own = origin.with_other_ps2;

@@ -110,12 +110,17 @@ fn refusal(stage: &LabelOnsets, beside: &BesideTables) -> String {
 fn a_label_is_its_onset_with_path_periods_and_shared_jitter() {
     let stage = LabelOnsets { near_m: NonNegative::new(1.6), ..LabelOnsets::default() };
     let context = context(&stage, "repetition_ps = 10000.0", &BesideTables::default()).unwrap();
-    let rows = stage.apply(&context, vec![onset(7, 7, 1, 2500.0)]).unwrap().rows;
+    let onset = Onset { covariance: vec![400.0, 50.0], ..onset(7, 7, 1, 2500.0) };
+    let rows = stage.apply(&context, vec![onset.clone()]).unwrap().rows;
     let [label] = &rows[..] else { panic!("one label, not {rows:?}") };
     assert_eq!((&*label.campaign, &*label.sensor, label.range.as_deref()), ("c", "s1", Some("fine")));
     assert_eq!((label.lit, label.seen, label.rank, label.alternative), (7, 7, 1, 0));
     assert_eq!((label.path.as_deref(), label.bounces, label.turns), (Some(&[7][..]), 1, 1));
     assert_eq!((label.time_ps, label.time_sd_ps, label.residual_ps), (2500.0 + PERIOD_PS, 25.0, None));
+    assert_eq!(label.covariance, [400.0 + 225.0, 50.0 + 225.0]);
+    // A part stands with the other one at its own rank.
+    let part = labelling::Origin { onset: 0, part: 2, with_other_ps2: -30.0 };
+    assert_eq!(rows::covariance_ps2(&onset, part), [-30.0, 50.0 + 225.0]);
 }
 
 /// Of delays by range that of the onset's own counts, else the only one.

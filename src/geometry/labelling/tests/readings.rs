@@ -84,6 +84,16 @@ fn a_detour_behind_a_second_bounce_is_read_as_two_pulses() {
     let paths: Vec<_> = parts.iter().map(|(part, verdict)| (*part, verdict.path.clone())).collect();
     assert_eq!(paths, [(1, Some(vec![1, 2])), (2, Some(vec![1, 3, 2]))]);
     assert!(parts.iter().all(|(_, verdict)| verdict.probability > 0.95) && losers.len() <= 1, "{parts:?} {losers:?}");
+    // Both times err as the pair's do; where patches spread light, each of the two lies too far out.
+    for (own_width_ps, most_ps2) in [(0.0, 20.0), (9.0, 15.0)] {
+        let sensors = profiles(own_width_ps, wide(one_ps, 45.0, times_ps, 6.0));
+        let solution = label(&sensors, Some(&scene()), &SEARCH, &Cancel::never());
+        let with_other_ps2: Vec<f64> =
+            solution.arrivals[0][1].iter().map(|(origin, _)| origin.with_other_ps2).collect();
+        assert_eq!(with_other_ps2.len(), 2, "{own_width_ps}");
+        assert!(with_other_ps2.iter().all(|ps2| *ps2 <= most_ps2), "{own_width_ps}: {with_other_ps2:?}");
+        assert!(own_width_ps > 0.0 || with_other_ps2 == [20.0, 20.0], "{with_other_ps2:?}");
+    }
 }
 
 #[test]
