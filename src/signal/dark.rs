@@ -73,7 +73,7 @@ pub struct Scale {
 
 impl Scale {
     /// From the [`differences`] of shots from their mean, which hold noise and no light. `variances`: of a shot at each
-    /// place of the mean, as [`super::shot_spread::spread`] has them.
+    /// place of the mean, as [`super::shot_spread::Spread`] has them.
     #[must_use]
     pub fn of(differences: &[Vec<f64>], variances: &[f64]) -> Self {
         let shots = differences.len();

@@ -9,13 +9,19 @@ const LANES: usize = 16;
 pub fn largest<T: Copy + PartialOrd>(values: &[T], least: T, of: impl Fn(T) -> T) -> T {
     let larger = |most: T, value: T| if value > most { value } else { most };
     let (blocks, rest) = values.as_chunks::<LANES>();
-    let mut most = [least; LANES];
     // A lane each: one chain of comparisons would wait for every result.
-    widest(|| {
-        for block in blocks {
-            most = std::array::from_fn(|lane| larger(most[lane], of(block[lane])));
-        }
-    });
+    let most = widest(
+        #[inline(always)]
+        || {
+            let mut most = [least; LANES];
+            for block in blocks {
+                for (most, value) in most.iter_mut().zip(block) {
+                    *most = larger(*most, of(*value));
+                }
+            }
+            most
+        },
+    );
     most.into_iter().chain(rest.iter().map(|value| of(*value))).fold(least, larger)
 }
 

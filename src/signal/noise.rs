@@ -25,7 +25,8 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
         return Noise { sd: 0.0, acf: Vec::new() };
     }
     let mut products = vec![0.0; lags.clamp(1, shortest)];
-    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, &centred(stretch)));
+    let mut room = Vec::new();
+    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, stretch, &mut room));
     let pairs = |lag: usize| stretches.iter().map(|stretch| stretch.len() - lag).sum::<usize>();
     let centred: Vec<f64> = products.iter().enumerate().map(|(lag, sum)| sum / pairs(lag) as f64).collect();
     let length = pairs(0) / stretches.len();
@@ -131,32 +132,37 @@ pub fn quietest(samples: &[f64], width: usize) -> usize {
     (0..=samples.len() - width).min_by(|a, b| variance(*a).total_cmp(&variance(*b))).unwrap_or(0)
 }
 
-/// Adds to each sum, of lag 0, 1, .., the products of all samples with those as much later.
-fn add_lagged_products(sums: &mut [f64], samples: &[f64]) {
-    /// Samples, and lags, that the processor takes side by side; the order of additions is fixed.
-    const LANES: usize = 4;
-    const LAGS: usize = 8;
-    // What lies beyond the end adds nothing.
-    let mut padded = samples.to_vec();
-    padded.resize(samples.len() + sums.len() + LAGS + LANES, 0.0);
-    widest(|| {
-        for (group, sums) in sums.chunks_mut(LAGS).enumerate() {
-            let mut lanes = [[0.0; LANES]; LAGS];
-            for n in (0..samples.len()).step_by(LANES) {
-                let early: &[f64; LANES] = padded[n..].first_chunk().expect("padded");
-                let late: &[f64; LANES + LAGS] = padded[n + group * LAGS..].first_chunk().expect("padded");
-                for (lag, lanes) in lanes.iter_mut().enumerate() {
-                    (0..LANES).for_each(|lane| lanes[lane] += early[lane] * late[lane + lag]);
-                }
-            }
-            sums.iter_mut().zip(lanes).for_each(|(sum, lanes)| *sum += lanes.iter().sum::<f64>());
-        }
-    });
-}
+/// Samples, and lags, that the processor takes side by side; the order of additions is fixed.
+const LANES: usize = 4;
+const LAGS: usize = 8;
 
-fn centred(stretch: &[f64]) -> Vec<f64> {
+/// Adds to each sum, of lag 0, 1, .., the products of all samples about their mean with those as much later. `room` is
+/// used again from stretch to stretch.
+fn add_lagged_products(sums: &mut [f64], stretch: &[f64], room: &mut Vec<f64>) {
     let mean = stretch.iter().sum::<f64>() / stretch.len() as f64;
-    stretch.iter().map(|value| value - mean).collect()
+    room.clear();
+    room.extend(stretch.iter().map(|value| value - mean));
+    // What lies beyond the end adds nothing.
+    room.resize(stretch.len() + sums.len() + LAGS + LANES, 0.0);
+    let padded = &room[..];
+    widest(
+        #[inline(always)]
+        || {
+            for (group, sums) in sums.chunks_mut(LAGS).enumerate() {
+                let mut lanes = [[0.0; LANES]; LAGS];
+                for n in (0..stretch.len()).step_by(LANES) {
+                    let early: &[f64; LANES] = padded[n..].first_chunk().expect("padded");
+                    let late: &[f64; LANES + LAGS] = padded[n + group * LAGS..].first_chunk().expect("padded");
+                    for lag in 0..LAGS {
+                        for lane in 0..LANES {
+                            lanes[lag][lane] += early[lane] * late[lane + lag];
+                        }
+                    }
+                }
+                sums.iter_mut().zip(lanes).for_each(|(sum, lanes)| *sum += lanes.iter().sum::<f64>());
+            }
+        },
+    );
 }
 
 #[cfg(test)]

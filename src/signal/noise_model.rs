@@ -16,6 +16,8 @@
 //! Every capture has such a fit, so it must cost as little as the sums of the average: a round is one pass over the
 //! samples that gathers the normal equations, and allocates nothing.
 
+use std::ops::Range;
+
 use super::regression::invert;
 use super::widest::widest;
 
@@ -30,6 +32,8 @@ const WIDE: [f64; 9] = [1.0 / 280.0, -4.0 / 105.0, 0.2, -0.8, 0.0, 0.8, -0.2, 4.
 /// A model variance is not taken below this share of the mean variance: its inverse square is a weight, and one sample
 /// must not decide the fit.
 const FLOOR: f64 = 1e-6;
+/// Samples that go through a round together.
+const STRETCH: usize = 256;
 
 /// Spread over the shots of a capture.
 #[derive(Clone, Copy, Debug)]
@@ -74,22 +78,25 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
     let mut columns = Columns::of(spread.mean_v, spread.dt_ps);
     // 1 for a sample that counts, 0 for one to be ignored.
     let finite: Vec<f64> = spread.variance_v2.iter().map(|v| f64::from(u8::from(v.is_finite()))).collect();
-    let mut weights = finite.iter().map(|one| one / spread.weighing(mean)).collect::<Vec<f64>>();
     let mut model: Option<NoiseModel> = None;
     for _ in 0..ROUNDS {
-        let smooth =
-            model.as_ref().map_or([mean, 0.0, 0.0], |model| [model.values[0], model.values[1], model.values[2]]);
-        columns.clear_of_noise(smooth.map(|value| value / spread.shots as f64));
-        let next = Equations::of(&columns, &variances, &weights).solve(used)?;
+        let mut sums = Sums::default();
+        // Stretch by stretch: all columns together exceed the nearest cache.
+        for start in (0..len).step_by(STRETCH) {
+            let places = start..len.min(start + STRETCH);
+            let mut weights = [mean; STRETCH];
+            let weights = &mut weights[..places.len()];
+            if let Some(model) = &model {
+                columns.variances(places.clone(), &model.values, weights);
+            }
+            spread.weigh(&finite[places.clone()], FLOOR * mean, weights);
+            let smooth = model.as_ref().map_or([mean, 0.0, 0.0], |model| [0, 1, 2].map(|k| model.values[k]));
+            columns.clear_of_noise(places.clone(), smooth.map(|value| value / spread.shots as f64));
+            sums.add(&columns, places.clone(), &variances[places], weights);
+        }
+        let next = sums.equations().solve(used)?;
         let settled = model.as_ref().is_some_and(|old| {
             (0..TERMS).all(|k| (next.values[k] - old.values[k]).abs() <= SETTLED * next.covariance[k][k].sqrt())
-        });
-        columns.variances(&next.values, &mut weights);
-        let least = FLOOR * mean;
-        widest(|| {
-            for (weight, one) in weights.iter_mut().zip(&finite) {
-                *weight = one / spread.weighing(weight.max(least));
-            }
         });
         model = Some(next);
         if settled {
@@ -100,9 +107,19 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
 }
 
 impl Spread<'_> {
-    /// Variance of a sample's variance, where the model has it at `variance`.
-    fn weighing(&self, variance: f64) -> f64 {
-        variance * variance * 2.0 / (self.shots - 1) as f64
+    /// Weights of samples in place of their variances by the model, of which none is taken below `least`: the inverse
+    /// variance of a variance over shots.
+    fn weigh(&self, finite: &[f64], least: f64, weights: &mut [f64]) {
+        let freedom = (self.shots - 1) as f64;
+        widest(
+            #[inline(always)]
+            || {
+                for (weight, one) in weights.iter_mut().zip(finite) {
+                    let variance = weight.max(least);
+                    *weight = one / (variance * variance * 2.0 / freedom);
+                }
+            },
+        );
     }
 }
 
@@ -115,9 +132,9 @@ impl NoiseModel {
     pub fn sd_v(&self, mean_v: &[f64], shots: usize, dt_ps: f64) -> Vec<f64> {
         assert!(dt_ps > 0.0 && shots > 0, "a mean has shots and a step");
         let mut columns = Columns::of(mean_v, dt_ps);
-        columns.clear_of_noise([0, 1, 2].map(|k| self.values[k] / shots as f64));
+        columns.clear_of_noise(0..mean_v.len(), [0, 1, 2].map(|k| self.values[k] / shots as f64));
         let mut sd_v = vec![0.0; mean_v.len()];
-        columns.variances(&self.values, &mut sd_v);
+        columns.variances(0..mean_v.len(), &self.values, &mut sd_v);
         sd_v.iter_mut().for_each(|value| *value = value.sqrt());
         sd_v
     }
@@ -142,42 +159,78 @@ impl Columns {
         let (mut rise, mut gain) = (vec![0.0; len], vec![0.0; len]);
         // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they
         // would miss 8 %.
-        for weights in [[-0.5, 0.0, 0.5].as_slice(), &WIDE] {
-            let (before, per_ps2) = (weights.len() / 2, 1.0 / (dt_ps * dt_ps));
-            let of_noise: f64 = weights.iter().map(|w| w * w).sum();
-            for (n, values) in mean_v.windows(weights.len()).enumerate() {
-                let slope: f64 = values.iter().zip(weights).map(|(v, w)| v * w).sum();
-                (rise[n + before], gain[n + before]) = (slope * slope * per_ps2, of_noise * per_ps2);
-            }
-        }
+        squared_slopes(mean_v, [-0.5, 0.0, 0.5], dt_ps, &mut rise, &mut gain);
+        squared_slopes(mean_v, WIDE, dt_ps, &mut rise, &mut gain);
         let square: Vec<f64> = mean_v.iter().map(|v| v * v).collect();
         let level = mean_v.iter().map(|v| v.abs()).collect();
         Self { level, clear_square: square.clone(), square, clear_rise: rise.clone(), rise, gain }
     }
 
     /// Takes the mean's own variance off the squares, that of a model of constant, level and its square.
-    fn clear_of_noise(&mut self, [constant, level, square]: [f64; 3]) {
-        widest(|| {
-            let made_of = self.level.iter().zip(&self.square).zip(self.rise.iter().zip(&self.gain));
-            let clear = self.clear_square.iter_mut().zip(&mut self.clear_rise);
-            for ((clear_square, clear_rise), ((v, v2), (rise, gain))) in clear.zip(made_of) {
-                let own = constant + level * v + square * v2;
-                *clear_square = (v2 - own).max(0.0);
-                *clear_rise = (rise - gain * own).max(0.0);
-            }
-        });
+    fn clear_of_noise(&mut self, places: Range<usize>, [constant, level, square]: [f64; 3]) {
+        let [levels, squares, rises, gains] =
+            [&self.level, &self.square, &self.rise, &self.gain].map(|column| &column[places.clone()]);
+        let clear = self.clear_square[places.clone()].iter_mut().zip(&mut self.clear_rise[places.clone()]);
+        widest(
+            #[inline(always)]
+            || {
+                let made_of = levels.iter().zip(squares).zip(rises.iter().zip(gains));
+                for ((clear_square, clear_rise), ((v, v2), (rise, gain))) in clear.zip(made_of) {
+                    let own = constant + level * v + square * v2;
+                    *clear_square = (v2 - own).max(0.0);
+                    *clear_rise = (rise - gain * own).max(0.0);
+                }
+            },
+        );
     }
 
     /// Variance of each sample by the model.
-    fn variances(&self, values: &[f64; TERMS], out: &mut [f64]) {
+    fn variances(&self, places: Range<usize>, values: &[f64; TERMS], out: &mut [f64]) {
         let [constant, of_level, of_square, of_rise] = *values;
-        widest(|| {
-            let terms = self.level.iter().zip(&self.clear_square).zip(&self.clear_rise);
-            for (out, ((level, square), rise)) in out.iter_mut().zip(terms) {
-                *out = constant + of_level * level + of_square * square + of_rise * rise;
-            }
-        });
+        let [levels, squares, rises] =
+            [&self.level, &self.clear_square, &self.clear_rise].map(|column| &column[places.clone()]);
+        widest(
+            #[inline(always)]
+            || {
+                let terms = levels.iter().zip(squares).zip(rises);
+                for (out, ((level, square), rise)) in out.iter_mut().zip(terms) {
+                    *out = constant + of_level * level + of_square * square + of_rise * rise;
+                }
+            },
+        );
     }
+}
+
+/// Squares of the slope at the places that have all neighbours which the `weights` take, and how much a variance of 1
+/// of the samples adds.
+fn squared_slopes<const WIDTH: usize>(
+    mean_v: &[f64],
+    weights: [f64; WIDTH],
+    dt_ps: f64,
+    rise: &mut [f64],
+    gain: &mut [f64],
+) {
+    let count = (mean_v.len() + 1).saturating_sub(WIDTH);
+    let (places, per_ps2) = (WIDTH / 2..WIDTH / 2 + count, 1.0 / (dt_ps * dt_ps));
+    if count == 0 {
+        return;
+    }
+    let of_noise: f64 = weights.iter().map(|w| w * w).sum();
+    gain[places.clone()].fill(of_noise * per_ps2);
+    let rise = &mut rise[places];
+    let neighbours: [&[f64]; WIDTH] = std::array::from_fn(|k| &mean_v[k..k + count]);
+    widest(
+        #[inline(always)]
+        || {
+            for (n, rise) in rise.iter_mut().enumerate() {
+                let mut slope = 0.0;
+                for k in 0..WIDTH {
+                    slope += neighbours[k][n] * weights[k];
+                }
+                *rise = slope * slope * per_ps2;
+            }
+        },
+    );
 }
 
 /// Normal equations of one round.
@@ -188,25 +241,43 @@ struct Equations {
     square: f64,
 }
 
-impl Equations {
-    fn of(columns: &Columns, right: &[f64], weights: &[f64]) -> Self {
-        let Columns { level, clear_square, clear_rise, .. } = columns;
+/// Sums of products over samples, lanes apart: those of the matrix, row by row, of the right side and its square.
+#[derive(Default)]
+struct Sums([[f64; LANES]; SUMS]);
+
+impl Sums {
+    /// Adds the samples at these places. What follows them is added after they were: all but the last are a multiple of
+    /// the lanes.
+    fn add(&mut self, columns: &Columns, places: Range<usize>, right: &[f64], weights: &[f64]) {
+        let Self(sums) = self;
+        let terms = [&columns.level, &columns.clear_square, &columns.clear_rise].map(|column| &column[places.clone()]);
         let [weight, level, square, rise, right] =
-            [weights, level, clear_square, clear_rise, right].map(|column| column.as_chunks::<LANES>());
-        let mut sums = [[0.0; LANES]; SUMS];
-        widest(|| {
-            let terms = level.0.iter().zip(square.0).zip(rise.0);
-            for ((weight, right), ((level, square), rise)) in weight.0.iter().zip(right.0).zip(terms) {
-                add_products(&mut sums, weight, [&[1.0; LANES], level, square, rise], right);
-            }
-        });
+            [weights, terms[0], terms[1], terms[2], right].map(|column| column.as_chunks::<LANES>());
+        widest(
+            #[inline(always)]
+            || {
+                // The compiler keeps what is its own in registers.
+                let mut own = *sums;
+                let terms = level.0.iter().zip(square.0).zip(rise.0);
+                for ((weight, right), ((level, square), rise)) in weight.0.iter().zip(right.0).zip(terms) {
+                    add_products(&mut own, weight, [&[1.0; LANES], level, square, rise], right);
+                }
+                *sums = own;
+            },
+        );
+        if weight.1.is_empty() {
+            return;
+        }
         let [weight, level, square, rise, right] = [weight.1, level.1, square.1, rise.1, right.1].map(|rest| {
             let mut lanes = [0.0; LANES];
             lanes[..rest.len()].copy_from_slice(rest);
             lanes
         });
-        add_products(&mut sums, &weight, [&[1.0; LANES], &level, &square, &rise], &right);
-        let mut sums = sums.iter().map(|lanes| lanes.iter().sum::<f64>());
+        add_products(sums, &weight, [&[1.0; LANES], &level, &square, &rise], &right);
+    }
+
+    fn equations(&self) -> Equations {
+        let mut sums = self.0.iter().map(|lanes| lanes.iter().sum::<f64>());
         let mut next = || sums.next().expect("as many as were added up");
         let mut matrix = [[0.0; TERMS]; TERMS];
         for i in 0..TERMS {
@@ -215,9 +286,11 @@ impl Equations {
                 matrix[j][i] = matrix[i][j];
             }
         }
-        Self { matrix, right: std::array::from_fn(|_| next()), square: next() }
+        Equations { matrix, right: std::array::from_fn(|_| next()), square: next() }
     }
+}
 
+impl Equations {
     /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the
     /// bounded problem is among them.
     fn solve(&self, rows: usize) -> Option<NoiseModel> {
@@ -271,30 +344,31 @@ const LANES: usize = 4;
 /// Sums of a round: the lower half of the matrix row by row, the right side, its square.
 const SUMS: usize = TERMS * (TERMS + 1) / 2 + TERMS + 1;
 
-#[inline]
+#[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
+#[inline(always)]
 fn add_products(
     sums: &mut [[f64; LANES]; SUMS],
     weight: &[f64; LANES],
     terms: [&[f64; LANES]; TERMS],
     right: &[f64; LANES],
 ) {
-    let weighted = terms.map(|term| product(weight, term));
-    let weighted_right = product(weight, right);
-    let mut at = 0;
-    let mut add = |a: &[f64; LANES], b: &[f64; LANES]| {
-        sums[at].iter_mut().zip(product(a, b)).for_each(|(sum, product)| *sum += product);
-        at += 1;
-    };
-    for i in 0..TERMS {
-        (0..=i).for_each(|j| add(&weighted[i], terms[j]));
+    for lane in 0..LANES {
+        let (weight, right) = (weight[lane], right[lane]);
+        let mut at = 0;
+        for i in 0..TERMS {
+            let weighted = weight * terms[i][lane];
+            for term in &terms[..=i] {
+                sums[at][lane] += weighted * term[lane];
+                at += 1;
+            }
+        }
+        let weighted = weight * right;
+        for term in terms {
+            sums[at][lane] += weighted * term[lane];
+            at += 1;
+        }
+        sums[at][lane] += weighted * right;
     }
-    terms.iter().for_each(|term| add(&weighted_right, term));
-    add(&weighted_right, right);
-}
-
-#[inline]
-fn product(a: &[f64; LANES], b: &[f64; LANES]) -> [f64; LANES] {
-    std::array::from_fn(|lane| a[lane] * b[lane])
 }
 
 #[cfg(test)]

@@ -34,15 +34,18 @@ pub fn delay(samples: &[f64], fraction: f64, out: &mut [f64]) {
     padded.extend_from_slice(samples);
     padded.resize(samples.len() + TAPS, last);
     // Tap by tap over a block of results, which the processor can take side by side.
-    widest(|| {
-        for (block, out) in out.chunks_mut(BLOCK).enumerate() {
-            out.fill(0.0);
-            for (k, tap) in taps.iter().enumerate() {
-                let seen = &padded[block * BLOCK + k..][..out.len()];
-                out.iter_mut().zip(seen).for_each(|(value, sample)| *value += tap * sample);
+    widest(
+        #[inline(always)]
+        || {
+            for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+                out.fill(0.0);
+                for (k, tap) in taps.iter().enumerate() {
+                    let seen = &padded[block * BLOCK + k..][..out.len()];
+                    out.iter_mut().zip(seen).for_each(|(value, sample)| *value += tap * sample);
+                }
             }
-        }
-    });
+        },
+    );
 }
 
 /// Weights of samples `i - half .. i + half` for the value at `i - fraction`, of sum 1.

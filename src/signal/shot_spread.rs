@@ -1,47 +1,84 @@
 //! How shots of one capture differ from their mean, and which of them differ too much.
 
 use super::average::{Mean, PHASES};
+use super::block_means::BlockMeans;
 use super::codes::Codes;
 use super::dark::Dark;
 use super::resample;
+use super::sums::{sum, sum_of_squares};
 use super::widest::widest;
 
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
 pub const HEAD_SHOTS: usize = 32;
 /// Fewer shots say nothing about outliers.
 const JUDGES_MIN: usize = 8;
+/// Blocks whose samples are compared at once, so that what is between stays in the nearest cache.
+const STRETCH_BLOCKS: usize = 64;
 /// Largest standard deviation, in steps of the converter, of noise whose median deviation after rounding may be 0:
 /// 0.5 / 0.6745, since half of normal values lie within 0.6745 standard deviations.
 const QUIET_SD: f64 = 0.741;
 
-/// Variance over shots at each place of their mean, in codes squared, each shot's own baseline (mean of its `dark`
-/// samples) removed. Places that fewer than two shots cover get NaN.
-///
-/// # Panics
-/// When `dark` has no samples, or more than a shot.
-#[must_use]
-pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Vec<f64> {
-    let count = mean.mean.len();
-    let mut squares = vec![0.0; count];
-    // Where the number of shots that cover a place changes, and by how much.
-    let mut changes = vec![0_i32; count + 1];
-    compare(shots, mean, dark, |Compared { at, own, values, moved, from }| {
-        let (squares, expected) = (&mut squares[at..at + values.len()], &moved[from..]);
-        widest(|| {
-            for ((square, value), expected) in squares.iter_mut().zip(values).zip(expected) {
-                let residual = value - own - expected;
+/// How shots of one capture differ from their mean: what one pass over each shows.
+#[derive(Clone, Debug)]
+pub struct Spread {
+    /// Variance over shots at each place of the mean, in codes squared, each shot's own baseline removed. Places that
+    /// fewer than two shots cover have NaN.
+    pub variances: Vec<f64>,
+    /// Mean square of all differences, in codes squared, baselines included.
+    pub mean_square: f64,
+    /// The differences over blocks, baselines included; each shot's from its first place of the mean on.
+    pub differences: BlockMeans,
+}
+
+impl Spread {
+    /// Of shots whose baselines are the means of their `dark` samples.
+    ///
+    /// # Panics
+    /// When `dark` has no samples, or more than a shot.
+    #[must_use]
+    pub fn of(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Self {
+        let count = mean.mean.len();
+        let (mut variances, mut differences) = (vec![0.0; count], BlockMeans::new(count, shots.len()));
+        let (mut total, mut samples) = (0.0, 0);
+        // Where the number of shots that cover a place changes, and by how much.
+        let mut changes = vec![0_i32; count + 1];
+        let mut room = vec![0.0; STRETCH_BLOCKS * differences.block()];
+        compare(shots, mean, dark, |Compared { at, own, values, moved, from }| {
+            differences.begin(values.len());
+            for start in (0..values.len()).step_by(room.len()) {
+                let stretch = start..values.len().min(start + room.len());
+                let (values, moved) = (&values[stretch.clone()], &moved[from + start..]);
+                let difference = &mut room[..values.len()];
+                subtract(values, own, moved, difference, &mut variances[at + start..]);
+                total += sum_of_squares(difference);
+                differences.fill(start, difference);
+            }
+            samples += values.len();
+            changes[at] += 1;
+            changes[at + values.len()] -= 1;
+        });
+        let mut covering = 0;
+        for (variance, change) in variances.iter_mut().zip(&changes) {
+            covering += change;
+            *variance = if covering >= 2 { *variance / f64::from(covering - 1) } else { f64::NAN };
+        }
+        Self { variances, mean_square: total / samples as f64, differences }
+    }
+}
+
+/// Differences of a shot from its mean, and their squares without the shot's `own` baseline added to those of others.
+fn subtract(values: &[f64], own: f64, mean: &[f64], differences: &mut [f64], squares: &mut [f64]) {
+    widest(
+        #[inline(always)]
+        || {
+            let out = differences.iter_mut().zip(squares);
+            for ((value, mean), (difference, square)) in values.iter().zip(mean).zip(out) {
+                *difference = value - mean;
+                let residual = value - own - mean;
                 *square += residual * residual;
             }
-        });
-        changes[at] += 1;
-        changes[at + values.len()] -= 1;
-    });
-    let mut covering = 0;
-    for (square, change) in squares.iter_mut().zip(&changes) {
-        covering += change;
-        *square = if covering >= 2 { *square / f64::from(covering - 1) } else { f64::NAN };
-    }
-    squares
+        },
+    );
 }
 
 /// Variance over shots of their times, in samples squared: of how far each lies from the mean as a whole, by least
@@ -49,7 +86,7 @@ pub fn spread(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Vec<f64> 
 /// the spread where the mean is steep hardly does, as where a pulse is too fast for its sampling.
 ///
 /// # Panics
-/// With fewer than two shots, and as [`spread`].
+/// With fewer than two shots, and as [`Spread::of`].
 #[must_use]
 pub fn moves(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, clear: &[bool]) -> f64 {
     assert!(shots.len() >= 2, "one shot has no variance");
@@ -91,7 +128,7 @@ fn compare(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, mut each: impl 
     for (codes, position) in shots {
         codes.read_into(&mut values);
         let of_shot = &values[dark.range(values.len(), *position)];
-        let own = of_shot.iter().sum::<f64>() / of_shot.len() as f64 - floor;
+        let own = sum(of_shot) / of_shot.len() as f64 - floor;
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
         // The mean at a place and a fraction is that at the next place, earlier by the rest.
         let later = i64::from(phase > 0);
@@ -181,13 +218,17 @@ impl OutlierTest {
 /// several codes. 0 where samples do not differ.
 #[must_use]
 pub fn step(shots: &[(Codes<'_>, i64)]) -> f64 {
-    let (mut values, mut least) = (Vec::new(), f64::INFINITY);
+    const STRETCH: usize = 64;
+    let mut least = f64::INFINITY;
     for (codes, _) in shots {
-        codes.read_into(&mut values);
-        let changes = values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
-        least = changes.filter(|change| *change > 0.0).fold(least, f64::min);
-        if codes.is_whole() && least <= 1.0 {
-            break; // whole numbers come no closer
+        for start in (0..codes.len()).step_by(STRETCH) {
+            // With the next stretch's first sample.
+            let values = codes.slice(start..codes.len().min(start + STRETCH + 1)).to_f64();
+            let changes = values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+            least = changes.filter(|change| *change > 0.0).fold(least, f64::min);
+            if codes.is_whole() && least <= 1.0 {
+                return least; // whole numbers come no closer
+            }
         }
     }
     if least.is_finite() { least } else { 0.0 }

@@ -14,12 +14,11 @@
 use std::f64::consts::{PI, SQRT_2};
 use std::ops::Range;
 
+use crate::block_means::BlockMeans;
 use crate::regression::invert;
+use crate::sums::sum;
+use crate::widest::widest;
 
-/// Samples of a block at least: fast noise is correlated over fewer.
-const BLOCK_MIN: usize = 4;
-/// Blocks of a record at most.
-const BLOCKS_MAX: usize = 512;
 /// Components at most, and blocks to each.
 const COMPONENTS_MAX: usize = 64;
 const BLOCKS_PER_COMPONENT: usize = 4;
@@ -50,20 +49,19 @@ pub struct SlowNoise {
     /// Variance of each component's amplitude in one shot.
     pub variances: Vec<f64>,
     blocks: Blocks,
-    /// Covariance of a shot's offset and amplitudes, given its samples, over the variance of a block.
-    posterior: Vec<f64>,
+    /// Offset and amplitudes of each shot, given its samples.
+    amplitudes: Vec<Vec<f64>>,
     /// Share of the samples' degrees of freedom that offset and amplitudes take.
     taken: f64,
 }
 
 impl SlowNoise {
-    /// From the differences of shots from their mean, each from the mean's first place on; `dark`: the places that
-    /// count. `None` where nothing exceeds fast noise significantly.
+    /// From the differences of shots from their mean over blocks of their record; `dark`: its places that count. `None`
+    /// where nothing exceeds fast noise significantly.
     #[must_use]
-    pub fn of(differences: &[Vec<f64>], dark: &[bool]) -> Option<Self> {
-        let covered = differences.iter().map(Vec::len).min()?.min(dark.len());
-        let mut blocks = Blocks::of(&dark[..covered], dark.len());
-        let means: Vec<Vec<f64>> = differences.iter().map(|difference| blocks.means(difference)).collect();
+    pub fn of(differences: &BlockMeans, dark: &[bool]) -> Option<Self> {
+        let mut blocks = Blocks::of(differences, dark);
+        let means: Vec<Vec<f64>> = differences.shots().map(|all| blocks.select(all)).collect();
         let fast = blocks.fast_variance(&means)?;
         if !blocks.is_slow(&means, fast) {
             return None;
@@ -82,11 +80,11 @@ impl SlowNoise {
         let count = blocks.ranges.len() as f64;
         let total = means.iter().flatten().map(|mean| mean * mean).sum::<f64>();
         let mut variances = vec![total / shots / count; size - 1];
-        let (mut own, mut posterior) = (fast, Vec::new());
+        let (mut own, mut amplitudes) = (fast, Vec::new());
         let mut taken = 0.0;
         for _ in 0..ROUNDS {
-            posterior = posterior_of(&gram, &variances, own)?;
-            let amplitudes: Vec<Vec<f64>> = along.iter().map(|along| product(&posterior, along)).collect();
+            let posterior = posterior_of(&gram, &variances, own)?;
+            amplitudes = along.iter().map(|along| product(&posterior, along)).collect::<Vec<Vec<f64>>>();
             // What is left of the samples, and what the amplitudes' own errors leave.
             let explained: f64 =
                 along.iter().zip(&amplitudes).map(|(b, c)| 2.0 * dot(b, c) - quadratic(&gram, c)).sum();
@@ -101,20 +99,20 @@ impl SlowNoise {
         let noise = own / count;
         variances.iter_mut().filter(|variance| **variance < SHARE_MIN * noise).for_each(|variance| *variance = 0.0);
         let samples = blocks.ranges.iter().map(Range::len).sum::<usize>() as f64;
-        Some(Self { variances, blocks, posterior, taken: taken / samples })
+        Some(Self { variances, blocks, amplitudes, taken: taken / samples })
     }
 
-    /// Differences without their offsets and slow noise. What these take of fast noise is given back to its size.
+    /// The differences of the same shots, each from the record's start on, without their offsets and slow noise. What
+    /// these take of fast noise is given back to its size.
     #[must_use]
     pub fn fast(&self, differences: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let scale = (1.0 - self.taken).sqrt().recip();
         let rows: Vec<Vec<f64>> =
             (0..self.blocks.len).map(|n| self.blocks.row(n as f64, self.variances.len())).collect();
-        let of_shot = |difference: &Vec<f64>| {
-            let amplitudes = product(&self.posterior, &self.blocks.along(&self.blocks.means(difference)));
-            difference.iter().zip(&rows).map(|(value, row)| scale * (value - dot(&amplitudes, row))).collect()
+        let of_shot = |(difference, amplitudes): (&Vec<f64>, &Vec<f64>)| {
+            difference.iter().zip(&rows).map(|(value, row)| scale * (value - dot(amplitudes, row))).collect()
         };
-        differences.iter().map(of_shot).collect()
+        differences.iter().zip(&self.amplitudes).map(of_shot).collect()
     }
 }
 
@@ -122,6 +120,8 @@ impl SlowNoise {
 #[derive(Clone, Debug)]
 struct Blocks {
     ranges: Vec<Range<usize>>,
+    /// Runs of them among all blocks.
+    runs: Vec<Range<usize>>,
     /// Samples of the record.
     len: usize,
     /// Of each block: 1, and the components at its middle.
@@ -129,14 +129,18 @@ struct Blocks {
 }
 
 impl Blocks {
-    fn of(dark: &[bool], len: usize) -> Self {
-        let block = BLOCK_MIN.max(len.div_ceil(BLOCKS_MAX));
-        let ranges = (0..dark.len() / block).map(|b| b * block..(b + 1) * block);
-        Self {
-            ranges: ranges.filter(|range| dark[range.clone()].iter().all(|dark| *dark)).collect(),
-            len,
-            basis: Vec::new(),
+    fn of(means: &BlockMeans, dark: &[bool]) -> Self {
+        let (block, blocks) = (means.block(), means.covered().min(dark.len()) / means.block());
+        let is_dark = |b: usize| dark[b * block..(b + 1) * block].iter().all(|dark| *dark);
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for b in (0..blocks).filter(|b| is_dark(*b)) {
+            match runs.last_mut().filter(|run| run.end == b) {
+                Some(run) => run.end = b + 1,
+                None => runs.push(b..b + 1),
+            }
         }
+        let ranges = runs.iter().cloned().flatten().map(|b| b * block..(b + 1) * block).collect();
+        Self { ranges, runs, len: dark.len(), basis: Vec::new() }
     }
 
     /// Of so many components.
@@ -154,20 +158,35 @@ impl Blocks {
         self.basis[0].len()
     }
 
-    fn means(&self, difference: &[f64]) -> Vec<f64> {
-        let mean = |range: &Range<usize>| difference[range.clone()].iter().sum::<f64>() / range.len() as f64;
-        self.ranges.iter().map(mean).collect()
+    /// The means of these blocks, from those of all.
+    fn select(&self, means: &[f64]) -> Vec<f64> {
+        let mut selection = Vec::with_capacity(self.ranges.len());
+        self.runs.iter().for_each(|run| selection.extend_from_slice(&means[run.clone()]));
+        selection
     }
 
     /// Variance of a block's mean by fast noise: half of the mean square of differences over two blocks. `None` where
     /// there are too few blocks to tell slow noise, or no noise.
     fn fast_variance(&self, means: &[Vec<f64>]) -> Option<f64> {
-        let pairs =
-            self.ranges.windows(3).enumerate().filter(|(_, three)| three[2].start == three[0].end + three[1].len());
-        let pairs: Vec<usize> = pairs.map(|(b, _)| b).collect();
-        let squares = means.iter().flat_map(|means| pairs.iter().map(|b| (means[b + 2] - means[*b]).powi(2)));
-        let variance = 0.5 * squares.sum::<f64>() / (means.len() * pairs.len()) as f64;
-        (pairs.len() >= 2 * LONG_BLOCKS && means.len() >= 2 && variance > 0.0).then_some(variance)
+        let is_pair = |three: &[Range<usize>]| three[2].start == three[0].end + three[1].len();
+        let pairs: Vec<f64> = self.ranges.windows(3).map(|three| f64::from(u8::from(is_pair(three)))).collect();
+        let count = pairs.iter().sum::<f64>();
+        if count < (2 * LONG_BLOCKS) as f64 || means.len() < 2 {
+            return None;
+        }
+        let mut squares = vec![0.0; pairs.len()];
+        widest(
+            #[inline(always)]
+            || {
+                for means in means {
+                    for ((square, early), late) in squares.iter_mut().zip(means).zip(&means[2..]) {
+                        *square += (late - early) * (late - early);
+                    }
+                }
+            },
+        );
+        let variance = 0.5 * dot(&squares, &pairs) / (means.len() as f64 * count);
+        (variance > 0.0).then_some(variance)
     }
 
     /// Whether means over long runs of blocks scatter more than `fast` noise makes them.
@@ -175,8 +194,7 @@ impl Blocks {
         let run = self.ranges.len() / LONG_BLOCKS;
         let (mut squares, mut freedom) = (0.0, 0.0);
         for means in means {
-            let long: Vec<f64> =
-                means.chunks_exact(run).map(|run| run.iter().sum::<f64>() / run.len() as f64).collect();
+            let long: Vec<f64> = means.chunks_exact(run).map(|run| sum(run) / run.len() as f64).collect();
             let middle = long.iter().sum::<f64>() / long.len() as f64;
             squares += long.iter().map(|mean| (mean - middle).powi(2)).sum::<f64>() * run as f64 / fast;
             freedom += long.len() as f64 - 1.0;
@@ -289,6 +307,15 @@ mod tests {
         (0..SHOTS).map(shot).collect()
     }
 
+    fn slow(shots: &[Vec<f64>], dark: &[bool]) -> Option<SlowNoise> {
+        let mut means = BlockMeans::new(LEN, shots.len());
+        for shot in shots {
+            means.begin(LEN);
+            means.fill(0, shot);
+        }
+        SlowNoise::of(&means, dark)
+    }
+
     fn variance(values: &[Vec<f64>]) -> f64 {
         values.iter().flatten().map(|value| value * value).sum::<f64>() / (values.len() * LEN) as f64
     }
@@ -296,10 +323,10 @@ mod tests {
     #[test]
     fn fast_noise_is_no_slow_noise() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let claims = (0..300).filter(|_| SlowNoise::of(&shots(0.0, 1.0, &mut rng), &[true; LEN]).is_some()).count();
+        let claims = (0..300).filter(|_| slow(&shots(0.0, 1.0, &mut rng), &[true; LEN]).is_some()).count();
         assert!(claims <= 1, "{claims}");
-        assert!(SlowNoise::of(&[vec![1.0; LEN], vec![1.0; LEN]], &[true; LEN]).is_none());
-        assert!(SlowNoise::of(&shots(3.0, 2.0, &mut rng)[..1], &[true; LEN]).is_none());
+        assert!(slow(&[vec![1.0; LEN], vec![1.0; LEN]], &[true; LEN]).is_none());
+        assert!(slow(&shots(3.0, 2.0, &mut rng)[..1], &[true; LEN]).is_none());
     }
 
     /// Without noise, a lit part may hide what separates components: that is no reason to end.
@@ -317,7 +344,7 @@ mod tests {
             for lit in [0..0, 100..400] {
                 let shots = shots(height, turns, &mut rng);
                 let dark: Vec<bool> = (0..LEN).map(|n| !lit.contains(&n)).collect();
-                let slow = SlowNoise::of(&shots, &dark).expect("it is plain");
+                let slow = slow(&shots, &dark).expect("it is plain");
                 let total: f64 = slow.variances.iter().sum();
                 let fast = slow.fast(&shots);
                 let masked = |n: usize| if dark[n] { 1.0 } else { 0.0 };

@@ -160,18 +160,22 @@ impl Wiener {
             power * (first + turn * b - 2.0 * last).max(0.0)
         };
         let mut sums = [0.0; LANES];
-        widest(|| {
-            for (power, turn) in powers.0.iter().zip(turns.0) {
-                let (mut b, mut last) = ([0.0; LANES], [0.0; LANES]);
-                for r in later.iter().rev() {
-                    let next = std::array::from_fn(|i| r + turn[i] * b[i] - last[i]);
-                    (b, last) = (next, b);
+        widest(
+            #[inline(always)]
+            || {
+                for (power, turn) in powers.0.iter().zip(turns.0) {
+                    let (mut b, mut last) = ([0.0; LANES], [0.0; LANES]);
+                    for r in later.iter().rev() {
+                        for i in 0..LANES {
+                            (b[i], last[i]) = (r + turn[i] * b[i] - last[i], b[i]);
+                        }
+                    }
+                    for i in 0..LANES {
+                        sums[i] += power[i] * (first + turn[i] * b[i] - 2.0 * last[i]).max(0.0);
+                    }
                 }
-                for i in 0..LANES {
-                    sums[i] += power[i] * (first + turn[i] * b[i] - 2.0 * last[i]).max(0.0);
-                }
-            }
-        });
+            },
+        );
         let rest = powers.1.iter().zip(turns.1).map(|(power, turn)| coloured(*power, *turn));
         ((sums.iter().sum::<f64>() + rest.sum::<f64>()) / first).sqrt()
     }

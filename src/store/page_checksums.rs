@@ -71,13 +71,19 @@ pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes
         let (header, body) = (&page[0], &page[1]);
         let checked = insert(header, crc32fast::hash(body))?;
         grown += (checked.len() - header.len()) as i64;
-        let chunk = if Fields::of(header)?.kind == DICTIONARY_PAGE {
-            &mut dictionary
+        if Fields::of(header)?.kind == DICTIONARY_PAGE {
+            dictionary.push((checked, body));
         } else {
             sizes.push(checked.len() + body.len());
-            &mut data
-        };
-        chunk.extend_from_slice(&checked);
+            data.push((checked, body));
+        }
+    }
+    let length = |pages: &[(Vec<u8>, &Bytes)]| pages.iter().map(|(header, body)| header.len() + body.len()).sum();
+    let (dictionary_bytes, data_bytes): (usize, usize) = (length(&dictionary), length(&data));
+    // One block of the right size: bytes that move into larger and larger ones cost a page fault each time.
+    let mut chunk = Vec::with_capacity(dictionary_bytes + data_bytes);
+    for (header, body) in dictionary.iter().chain(&data) {
+        chunk.extend_from_slice(header);
         chunk.extend_from_slice(body);
     }
     let mut close = close.clone();
@@ -88,16 +94,15 @@ pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes
         .into_builder()
         .set_total_compressed_size(compressed + grown)
         .set_total_uncompressed_size(uncompressed + grown)
-        .set_dictionary_page_offset((!dictionary.is_empty()).then_some(0))
-        .set_data_page_offset(dictionary.len() as i64)
+        .set_dictionary_page_offset((dictionary_bytes > 0).then_some(0))
+        .set_data_page_offset(dictionary_bytes as i64)
         .build()?;
-    let mut offset = dictionary.len() as i64;
+    let mut offset = dictionary_bytes as i64;
     for (location, size) in close.offset_index.iter_mut().flat_map(|index| &mut index.page_locations).zip(sizes) {
         (location.offset, location.compressed_page_size) = (offset, size as i32);
         offset += size as i64;
     }
-    dictionary.append(&mut data);
-    Ok((dictionary.into(), close))
+    Ok((chunk.into(), close))
 }
 
 /// Whether a page has the checksum in its header. `page` is header and bytes.

@@ -4,7 +4,7 @@ use super::*;
 use crate::averaged_response::averaged_response;
 use crate::dark::Dark;
 use crate::response::Response;
-use crate::shot_spread::{OutlierTest, spread};
+use crate::shot_spread::{OutlierTest, Spread};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -162,7 +162,7 @@ fn the_spread_is_the_noise_with_and_without_jitter() {
         let shots = shots(64, jitter, 40.0, 4);
         let views = views(&shots);
         let mean = sum(&views).finish().unwrap();
-        let variances = spread(&views, &mean, &Dark::at_start(32));
+        let variances = Spread::of(&views, &mean, &Dark::at_start(32)).variances;
         let sd_of = |range: Range<usize>| {
             let (count, expected) = (range.len() as f64, &variances[range]);
             (expected.iter().sum::<f64>() / count).sqrt()

@@ -6,7 +6,7 @@ use crate::signal::codes::Codes;
 use crate::signal::dark::{self, Dark};
 use crate::signal::noise;
 use crate::signal::noise_model::{self, NoiseModel};
-use crate::signal::shot_spread;
+use crate::signal::shot_spread::{self, Spread};
 use crate::signal::slow_noise::SlowNoise;
 use crate::tables::Trace;
 
@@ -52,8 +52,8 @@ pub struct Judges<'a> {
     /// Codes and places on the grid.
     pub shots: &'a [(Codes<'a>, i64)],
     pub mean: &'a Mean,
-    /// Each shot less the mean.
-    pub differences: &'a [Vec<f64>],
+    /// How they differ from the mean.
+    pub spread: &'a Spread,
     /// Mean code without light.
     pub level: f64,
     /// Where each shot is dark.
@@ -66,16 +66,14 @@ pub struct Judges<'a> {
 impl Judges<'_> {
     /// Slow noise, and each shot less mean, offset and slow noise; `None` where noise is fast alone.
     pub fn slow(&self) -> Option<Slow> {
-        let Self { differences, .. } = *self;
-        let shots = differences.len() as f64;
-        let squares = differences.iter().flatten().map(|value| value * value).sum::<f64>();
-        let sd = (squares / differences.iter().map(Vec::len).sum::<usize>() as f64).sqrt();
+        let sd = self.spread.mean_square.sqrt();
         let is_dark = |(mean, clear): (&f64, &bool)| *clear && (mean - self.level).abs() < DARK_SIGMA * sd;
         let is_dark: Vec<bool> = self.mean.mean.iter().zip(self.clear).map(is_dark).collect();
-        let noise = SlowNoise::of(differences, &is_dark)?;
+        let noise = SlowNoise::of(&self.spread.differences, &is_dark)?;
         // The mean has its share of each shot.
+        let shots = self.shots.len() as f64;
         let scale = (shots / (shots - 1.0)).sqrt();
-        let mut fast = noise.fast(differences);
+        let mut fast = noise.fast(&dark::differences(self.shots, self.mean));
         fast.iter_mut().flatten().for_each(|value| *value *= scale);
         Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
     }
@@ -94,7 +92,7 @@ impl Judges<'_> {
 
     /// Variance over shots at each place of the mean, codes squared.
     fn variances(&self, slow: Option<&Slow>) -> Vec<f64> {
-        let Some(slow) = slow else { return shot_spread::spread(self.shots, self.mean, self.dark) };
+        let Some(slow) = slow else { return self.spread.variances.clone() };
         let of_place = |n: usize| {
             let (sum, count) = slow
                 .fast
@@ -145,9 +143,7 @@ impl Noise {
         let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
         let step = if is_whole { shot_spread::step(shots).max(1.0) } else { 0.0 };
         // Two neighbouring codes alone do not tell how much noise there is: the level may lie between them.
-        let codes = || stretches.iter().flatten();
-        let extent = codes().fold(f64::MIN, |a, b| a.max(*b)) - codes().fold(f64::MAX, |a, b| a.min(*b));
-        let sd = if extent <= step { 0.0 } else { noise.sd };
+        let sd = if exceeds(stretches, step) { noise.sd } else { 0.0 };
         let rounding = if is_whole { ROUNDING_ALIKE * step * step * dark::rounding_variance(sd / step) } else { 0.0 };
         Self {
             sd_v: noise.sd * gain_v,
@@ -193,6 +189,15 @@ impl Noise {
         let value = model.values[term];
         is_claimed(value - expected, model, term, alike).then_some(value)
     }
+}
+
+/// Whether samples lie further apart than a `step`; seldom looks beyond the first stretch.
+fn exceeds(stretches: &[Vec<f64>], step: f64) -> bool {
+    let (mut low, mut high) = (f64::MAX, f64::MIN);
+    stretches.iter().any(|stretch| {
+        (low, high) = stretch.iter().fold((low, high), |(low, high), value| (value.min(low), value.max(high)));
+        high - low > step
+    })
 }
 
 /// Whether a coefficient exceeds what its error makes of none, where so many samples tell as much as one.

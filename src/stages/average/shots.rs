@@ -15,7 +15,7 @@ use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
 use crate::signal::dark::{self, Dark, Scale};
 use crate::signal::noise;
-use crate::signal::shot_spread::{self, HEAD_SHOTS, OutlierTest};
+use crate::signal::shot_spread::{HEAD_SHOTS, OutlierTest, Spread};
 use crate::tables::{Codes, Profile, Trace};
 
 /// What a record without a dark stretch has to do with its profile.
@@ -80,11 +80,11 @@ impl Tally {
     }
 }
 
-/// Shots of the head that are not outlying: their mean, and each less the mean.
+/// Shots of the head that are not outlying: their mean, and how they differ from it.
 struct Judged<'a> {
     passed: Vec<(Samples<'a>, i64)>,
     mean: Mean,
-    differences: Vec<Vec<f64>>,
+    spread: Spread,
 }
 
 /// Shots of one range.
@@ -198,7 +198,7 @@ impl Shots {
                 None => return,
             }
         }
-        let Judged { passed, mean, differences } = judged;
+        let Judged { passed, mean, spread } = judged;
         if self.darkness == Darkness::Anywhere {
             self.dark.place = Some(mean.first_position + noise::quietest(&mean.mean, self.dark.samples) as i64);
         }
@@ -207,7 +207,7 @@ impl Shots {
         let judges = Judges {
             shots: &passed,
             mean: &mean,
-            differences: &differences,
+            spread: &spread,
             level,
             dark: &dark,
             clear: &clear,
@@ -215,9 +215,8 @@ impl Shots {
         };
         // Of light that repeats, a record is cut and folded: its slow noise is not that of the profile.
         let slow = if self.darkness == Darkness::Anywhere { None } else { judges.slow() };
-        let stretches = slow
-            .as_ref()
-            .map_or_else(|| self.stretches(&passed, &mean, &differences), |slow| slow.stretches(&dark, &mean));
+        let stretches =
+            slow.as_ref().map_or_else(|| self.stretches(&passed, &mean), |slow| slow.stretches(&dark, &mean));
         self.noise = Some(Noise::of(&judges, &stretches, slow));
         self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
     }
@@ -247,18 +246,16 @@ impl Shots {
             self.whole.sums.finish()
         };
         let mean = mean?;
-        // Light that repeats has no dark stretch to compare, and its records are folded.
-        let is_compared = self.darkness != Darkness::Anywhere;
-        let differences = if is_compared { dark::differences(&passed, &mean) } else { Vec::new() };
-        Some(Judged { passed, mean, differences })
+        let spread = Spread::of(&passed, &mean, &self.baseline());
+        Some(Judged { passed, mean, spread })
     }
 
     /// Looks for light where the records are taken as dark, and for a stretch without. Returns whether there is a
     /// better one than the start of each record.
     fn seek_dark(&mut self, judged: &Judged<'_>) -> bool {
-        let Judged { passed, mean, differences } = judged;
+        let Judged { passed, mean, spread } = judged;
         let samples = self.dark.samples.min(mean.mean.len());
-        let scale = Scale::of(differences, &shot_spread::spread(passed, mean, &self.dark));
+        let scale = Scale::of(&dark::differences(passed, mean), &spread.variances);
         self.scale = Some((passed.len(), scale));
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
         let place = match dark::find(&mean.mean, &clear, samples, &scale) {
@@ -287,7 +284,7 @@ impl Shots {
 
     /// Samples of noise alone: of the shots where they are dark. Where they are dark nowhere, their differences from
     /// the mean there.
-    fn stretches(&self, passed: &[(Samples<'_>, i64)], mean: &Mean, differences: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    fn stretches(&self, passed: &[(Samples<'_>, i64)], mean: &Mean) -> Vec<Vec<f64>> {
         if !self.is_lit || passed.len() < 2 {
             let stretch =
                 |(codes, position): &(Samples<'_>, i64)| codes.slice(self.dark.range(codes.len(), *position)).to_f64();
@@ -302,7 +299,7 @@ impl Shots {
             let range = self.dark.range(difference.len(), first);
             difference[range].iter().map(|value| value * scale).collect()
         };
-        differences.iter().zip(passed).map(stretch).collect()
+        dark::differences(passed, mean).iter().zip(passed).map(stretch).collect()
     }
 
     /// Mean code without light.

@@ -1,0 +1,56 @@
+//! Sums in lanes side by side: one chain of additions would wait for every result.
+
+use super::widest::widest;
+
+/// Numbers that are added side by side; the order of additions is fixed.
+const LANES: usize = 16;
+
+/// The sum of all values.
+pub fn sum(values: &[f64]) -> f64 {
+    sum_of(
+        values,
+        #[inline(always)]
+        |value| value,
+    )
+}
+
+/// The sum of their squares.
+pub fn sum_of_squares(values: &[f64]) -> f64 {
+    sum_of(
+        values,
+        #[inline(always)]
+        |value| value * value,
+    )
+}
+
+fn sum_of(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
+    let (blocks, rest) = values.as_chunks::<LANES>();
+    let sums = widest(
+        #[inline(always)]
+        || {
+            let mut sums = [0.0; LANES];
+            for block in blocks {
+                for (sum, value) in sums.iter_mut().zip(block) {
+                    *sum += of(*value);
+                }
+            }
+            sums
+        },
+    );
+    sums.iter().sum::<f64>() + rest.iter().map(|value| of(*value)).sum::<f64>()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_counts_once() {
+        for len in [0, 1, 15, 16, 17, 100] {
+            let values: Vec<f64> = (0..len).map(f64::from).collect();
+            let n = f64::from(len);
+            assert_eq!(sum(&values), n * (n - 1.0) / 2.0);
+            assert_eq!(sum_of_squares(&values), n * (n - 1.0) * (2.0 * n - 1.0) / 6.0);
+        }
+    }
+}
