@@ -16,6 +16,7 @@
 //! smaller than its patch.
 
 mod from_widths;
+mod spread;
 
 use std::collections::BTreeMap;
 
@@ -24,6 +25,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::Point;
 use crate::units::PatchId;
 pub use from_widths::{Bounce, Sizes, Spread, from_widths};
+pub use spread::LengthSpread;
 
 /// A flat round patch.
 #[derive(Clone, Copy, Debug, PartialEq)]

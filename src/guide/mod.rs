@@ -46,6 +46,7 @@ pub mod stages {
         label = "stages/label.md";
         locate = "stages/locate.md";
         measure = "stages/measure.md";
+        predict = "stages/predict.md";
         range = "stages/range.md";
         recalibrate = "stages/recalibrate.md";
         refine = "stages/refine.md";

@@ -147,6 +147,8 @@ fn pulse(impulse: &Impulse, polarity: f64) -> Pulse {
     let tail_ps = impulse.tail_ps.unwrap_or(0.0);
     Pulse {
         time_ps: impulse.time_ps,
+        time_sd_ps: impulse.time_sd_ps,
+        own_time_ps: impulse.own_time_ps.unwrap_or(impulse.time_ps),
         // The table has a Gaussian and the tail behind it together.
         width_ps: (impulse.width_ps * impulse.width_ps - tail_ps * tail_ps).max(0.0).sqrt(),
         kurtosis: impulse.width_kurtosis.unwrap_or(0.0),
@@ -327,6 +329,7 @@ mod tests {
             width_kurtosis: (width_ps > 0.0).then_some(0.0),
             width_tilt: None,
             tail_ps: None,
+            own_time_ps: None,
             pair: None,
         }
     }

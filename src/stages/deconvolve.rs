@@ -54,6 +54,7 @@
 //! ```
 
 mod explain;
+mod predictions;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -75,6 +76,7 @@ use crate::signal::sparse::{self, Baseline, SparseOptions, Unpiled};
 use crate::signal::wiener::{Transfer, Wiener};
 use crate::tables::{Calibration, Profile, Session, Stir};
 use explain::{Explained, Method};
+use predictions::Predictions;
 
 /// Parameters of `deconvolve`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -137,6 +139,7 @@ pub struct Fields {
 pub struct Context {
     sensors: calibration::Sensors,
     sessions: Vec<Session>,
+    predictions: Predictions,
     fields: ByCampaign<Fields>,
     tools: Mutex<Vec<Tools>>,
     cancel: Cancel,
@@ -167,15 +170,17 @@ struct Ready {
     power_ratio: Option<f64>,
     light: Vec<f64>,
     light_noise_v: f64,
+    predictions: Vec<sparse::Prediction>,
 }
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
         Beside { name: "session", table: "session", required: false },
+        Beside { name: "predictions", table: "predictions", required: false },
     ];
     const RESPONSES: Option<&'static Beside> = Some(&Self::BESIDE[0]);
     const CONDITIONS: &'static [Condition] = &[
@@ -212,8 +217,9 @@ impl Stage for Deconvolve {
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
         let rows = beside.rows::<Calibration>("calibration")?.unwrap_or_default();
         let sessions = beside.rows::<Session>("session")?.unwrap_or_default();
+        let predictions = Predictions::new(beside.rows("predictions")?.unwrap_or_default());
         let (sensors, cancel) = (calibration::Sensors::new(&rows), beside.cancel.clone());
-        Ok(Context { sensors, sessions, fields, tools: Mutex::default(), cancel })
+        Ok(Context { sensors, sessions, predictions, fields, tools: Mutex::default(), cancel })
     }
 }
 
@@ -338,6 +344,7 @@ impl Deconvolve {
         if !self.correlated {
             flight.acf = vec![1.0];
         }
+        let predictions = context.predictions.of(profile, &flight, period_ps);
         let noise_v = calibration::noise_v(profile);
         let alike = tools.take_up(key.clone(), calibrated, profile);
         let (light, light_noise_v) = match self.method {
@@ -357,6 +364,7 @@ impl Deconvolve {
             power_ratio: profile.reference_v_ps.and_then(power),
             light,
             light_noise_v,
+            predictions,
         })
     }
 
@@ -369,6 +377,7 @@ impl Deconvolve {
             signed: self.signed,
             extent_max_ps: self.extent_max_ps.get(),
             width_sd: ready.width[1],
+            predictions: ready.predictions.clone(),
             cancel: cancel.clone(),
         }
     }

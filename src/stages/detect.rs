@@ -106,7 +106,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::Capture;
     const CONDITIONS: &'static [Condition] = &[
         Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
@@ -157,9 +157,11 @@ impl Detect {
         let onset = |(rank, &k): (usize, &usize)| {
             let impulse = &stir.impulses[k];
             let covariance: Vec<f64> = kept.iter().map(|&other| stir.impulse_cov[k * count + other]).collect();
-            let correlated = kept.iter().zip(&covariance).any(|(&other, cov)| {
-                other != k && cov.abs() > BLENDED * impulse.time_sd_ps * stir.impulses[other].time_sd_ps
-            });
+            let variance = |k: usize| stir.impulse_cov[k * count + k];
+            let correlated = kept
+                .iter()
+                .zip(&covariance)
+                .any(|(&other, cov)| other != k && cov.powi(2) > BLENDED.powi(2) * variance(k) * variance(other));
             let margin_ps = EDGE_SAMPLES * stir.dt_ps;
             let at_edge = impulse.time_ps < stir.t0_ps + margin_ps || impulse.time_ps > end_ps - margin_ps;
             let extended = impulse.width_ps > 0.0;
@@ -169,6 +171,7 @@ impl Detect {
                 rank: rank as i32 + 1,
                 time_ps: impulse.time_ps,
                 time_sd_ps: impulse.time_sd_ps,
+                own_time_ps: impulse.own_time_ps,
                 earliest_ps: extended.then_some(impulse.time_ps - EARLIEST_WIDTHS * impulse.width_ps),
                 amplitude: impulse.amplitude_v,
                 amplitude_sd: Some(impulse.amplitude_sd_v.hypot(stir.gain_sd * impulse.amplitude_v)),

@@ -19,6 +19,7 @@ pub mod measure;
 pub mod mesh;
 mod method;
 pub mod operator;
+pub mod predict;
 pub mod range;
 pub mod recalibrate;
 pub mod refine;
@@ -111,7 +112,7 @@ impl Node {
 }
 
 /// Kinds that a pipeline file may name.
-pub const KINDS: [&str; 27] = [
+pub const KINDS: [&str; 28] = [
     "ingest",
     "ingest_pulses",
     "anchor",
@@ -128,6 +129,7 @@ pub const KINDS: [&str; 27] = [
     "range",
     "embed",
     "refine",
+    "predict",
     "reflect",
     "search",
     "image",
@@ -174,6 +176,7 @@ pub fn parse(kind: &str, params: toml::Table) -> Result<Node, String> {
         "range" => operator::<range::Range>(params),
         "embed" => operator::<embed::Embed>(params),
         "refine" => operator::<refine::Refine>(params),
+        "predict" => operator::<predict::Predict>(params),
         "reflect" => operator::<reflect::Reflect>(params),
         "search" => operator::<search::Search>(params),
         "image" => operator::<image::MakeImage>(params),

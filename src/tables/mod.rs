@@ -16,6 +16,7 @@ pub mod meshes;
 pub mod onsets;
 pub mod patches;
 pub mod planes;
+pub mod predictions;
 pub mod profiles;
 pub mod pulses;
 pub mod rejects;
@@ -49,6 +50,7 @@ pub use meshes::{Mesh, Vertex};
 pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
 pub use planes::{PatchFootprint, Plane};
+pub use predictions::Prediction;
 pub use profiles::Profile;
 pub use pulses::Pulse;
 pub use rejects::Reject;
@@ -103,6 +105,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<Patch>(),
         of::<PatchCovariance>(),
         of::<Plane>(),
+        of::<Prediction>(),
         of::<PatchFootprint>(),
         of::<Delay>(),
         of::<Station>(),

@@ -20,11 +20,14 @@ table! {
         acquired_at: Option<Name>,
         /// Order of arrival within its profile, from 1.
         rank: i32,
-        /// Time of flight of the arrival.
+        /// Time of flight of the arrival, with what was predicted of it.
         time_ps: f64,
         /// Standard deviation of the time, misfit included; excludes the jitter that the profile's onsets share, and
         /// the sensor's latency.
         time_sd_ps: f64,
+        /// Time of flight as its profile alone has it, to which `covariance` belongs; null where no light was
+        /// predicted in the profile.
+        own_time_ps: Option<f64>,
         /// Time at which the arrival begins to rise, if the method gives it.
         earliest_ps: Option<f64>,
         /// Amplitude in the unit of the profile.

@@ -16,7 +16,7 @@ use crate::table;
 /// One impulse that explains part of a profile.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Impulse {
-    /// Time of flight after the reference pulse, without the sensor's latency.
+    /// Time of flight after the reference pulse, without the sensor's latency; with what was predicted of it.
     pub time_ps: f64,
     /// Standard deviation of the time.
     pub time_sd_ps: f64,
@@ -42,6 +42,8 @@ pub struct Impulse {
     pub width_tilt: Option<f64>,
     /// Constant of the exponential tail of its light, which `width_ps` has in it; null for light without a tail.
     pub tail_ps: Option<f64>,
+    /// Time of flight as the profile alone has it, to which `impulse_cov` belongs; null where none was predicted.
+    pub own_time_ps: Option<f64>,
     /// The best two points in the place of an impulse that is wider than 0.
     pub pair: Option<ImpulsePair>,
 }
@@ -69,7 +71,7 @@ pub struct ImpulsePair {
 }
 
 const REQUIRED: usize = 8;
-const CELLS: usize = 20;
+const CELLS: usize = 21;
 /// The first are never null.
 const IMPULSE_FIELDS: [&str; CELLS] = [
     "time_ps",
@@ -84,6 +86,7 @@ const IMPULSE_FIELDS: [&str; CELLS] = [
     "width_kurtosis",
     "width_tilt",
     "tail_ps",
+    "own_time_ps",
     "pair_first_ps",
     "pair_second_ps",
     "pair_first_sd_ps",
@@ -110,6 +113,7 @@ impl Impulse {
             self.width_kurtosis,
             self.width_tilt,
             self.tail_ps,
+            self.own_time_ps,
             of_pair(|pair| pair.first_ps),
             of_pair(|pair| pair.second_ps),
             of_pair(|pair| pair.first_sd_ps),
@@ -136,6 +140,7 @@ impl Impulse {
             width_kurtosis,
             width_tilt,
             tail_ps,
+            own_time_ps,
             pair @ ..,
         ] = *cells;
         let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
@@ -163,6 +168,7 @@ impl Impulse {
             width_kurtosis,
             width_tilt,
             tail_ps,
+            own_time_ps,
             pair: pair_of(pair),
         })
     }
@@ -240,7 +246,7 @@ table! {
         background: Option<f64>,
         /// Impulses that explain the measured profile, in order of time; empty for methods that find none.
         impulses: Vec<Impulse>,
-        /// Covariance of the impulses' times in ps^2, row by row.
+        /// Covariance of the impulses' times in ps^2, row by row; of their own times where impulses were predicted.
         impulse_cov: Vec<f64>,
         /// Chi-square of the fit over its degrees of freedom; null for methods without a fit.
         chi2_dof: Option<f64>,

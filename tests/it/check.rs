@@ -102,7 +102,7 @@ fn a_campaign_that_has_only_begun_can_be_checked() {
     assert_eq!(code, Some(3));
     assert!(fix(&report, "sensor s1 is not calibrated") && fix(&report, "capture its response"), "{report:#}");
     assert!(
-        fix(&report, "no file shows the impulse response of sensor `s1`, which [stir] (`deconvolve`) needs"),
+        fix(&report, "no file shows the impulse response of sensor `s1`, which [draft_stir] (`deconvolve`) needs"),
         "{report:#}"
     );
     fs::remove_dir_all(lab.campaign().join("raw")).unwrap();

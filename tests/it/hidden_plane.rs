@@ -15,7 +15,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::corner::{self, Scored};
-use crate::lab::{Lab, point_onset, without_search, write_table};
+use crate::lab::{Lab, one_look, point_onset, write_table};
 use crate::missed::{aligning, position};
 
 /// Nine hidden patches.
@@ -137,7 +137,7 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
     write_table(&lab.path("calibration.parquet"), &[calibration()]);
     let whole = Definition::parse("scene", PIPELINE).unwrap().to_toml();
     let from = whole.find("[anchors]").expect("anchors come before labels");
-    let solved = without_search(&whole[from..]);
+    let solved = one_look(&whole[from..]);
     let by_rank = solved.replace("bounces = 5", "bounces = 3, hidden = \"rank\"");
     assert_ne!(by_rank, solved);
     let solved = if rank { by_rank } else { solved };

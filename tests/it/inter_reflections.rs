@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::lab::{Lab, point_onset, without_search, write_table};
+use crate::lab::{Lab, one_look, point_onset, write_table};
 
 /// Group index of the campaign: that of air.
 const INDEX: f64 = 1.000_277;
@@ -97,7 +97,7 @@ fn pipeline(lab: &Lab) -> String {
     let text = Definition::parse("scene", text).unwrap().to_toml();
     let from = text.find("[anchors]").expect("anchors come before labels");
     // Onsets that are given have no latency.
-    let solved = without_search(&text[from..]).replace(", calibration = \"calibration\"", "");
+    let solved = one_look(&text[from..]).replace(", calibration = \"calibration\"", "");
     let path = lab.path("onsets.parquet");
     format!("[onsets]\nstage = 'import'\nparams = {{ table = 'onsets', path = '{}' }}\n{solved}", path.display())
 }

@@ -177,11 +177,15 @@ pub fn chain(error: impl Into<anyhow::Error>) -> String {
     format!("{:#}", error.into())
 }
 
-/// A pipeline of scenes without the search in all profiles together, for onsets that are given.
-pub fn without_search(pipeline: &str) -> String {
-    let (before, rest) = pipeline.split_once("[all_patches]").expect("the pipeline searches");
-    let (_, decisions) = rest.split_once("[decisions]").expect("the pipeline concludes");
-    let decisions =
-        decisions.replace("weak = \"all_patches.hypotheses\", ", "").replace("\"all_patches\"", "\"patches\"");
-    format!("{before}[decisions]{decisions}")
+/// The pipeline of scenes with one look at the profiles, or at onsets that are given, and without the search in all
+/// profiles together.
+pub fn one_look(pipeline: &str) -> String {
+    let between = |text: &str, from: &str, to: &str| {
+        let (before, rest) = text.split_once(from).unwrap_or_else(|| panic!("the pipeline has {from}"));
+        let (_, after) = rest.split_once(to).unwrap_or_else(|| panic!("the pipeline has {to} behind {from}"));
+        format!("{before}{to}{after}")
+    };
+    let once = between(&between(pipeline, "[second_predictions]", "[planes]"), "[all_patches]", "[decisions]");
+    let renamed = once.replace("[draft]", "[patches]").replace("draft_", "");
+    renamed.replace("weak = \"all_patches.hypotheses\", ", "").replace("\"all_patches\"", "\"patches\"")
 }

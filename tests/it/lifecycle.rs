@@ -44,7 +44,8 @@ fn a_killed_run_goes_on_to_the_same_bytes_and_makes_no_finished_part_again() {
 fn interrupted(lab: &ManyParts, whole: &BTreeMap<PathBuf, blake3::Hash>) {
     let child = lab.start("interrupted");
     // As soon as some parts of several are finished.
-    let is_among_parts = || lab.finished("interrupted").keys().filter(|path| path.ends_with_table("stir")).count() >= 2;
+    let is_among_parts =
+        || lab.finished("interrupted").keys().filter(|path| path.ends_with_table("draft_stir")).count() >= 2;
     let start = Instant::now();
     while !is_among_parts() && start.elapsed() < Duration::from_secs(20) {
         std::thread::sleep(Duration::from_millis(2));
@@ -54,7 +55,7 @@ fn interrupted(lab: &ManyParts, whole: &BTreeMap<PathBuf, blake3::Hash>) {
     let text = errors(&output);
     assert_eq!(output.status.code(), Some(130), "{text}");
     let last = text.lines().last().unwrap();
-    assert!(last.starts_with("interrupted: ") && last.contains(" parts of stir"), "{text}");
+    assert!(last.starts_with("interrupted: ") && last.contains(" parts of draft_stir"), "{text}");
     assert!(last.ends_with("are kept; the same command goes on from there"), "{text}");
     assert_eq!(lab.left_over("interrupted"), Vec::<PathBuf>::new());
     let shelf = Shelf::look(&lab.path("interrupted")).unwrap();

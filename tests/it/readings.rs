@@ -10,7 +10,7 @@ use periscope::tables::{Ambiguity, Decision, Onset, Patch};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use crate::lab::{Lab, without_search, write_table};
+use crate::lab::{Lab, one_look, write_table};
 use crate::missed::{aligning, position};
 use crate::reading_scene::{Room, Setting, VISIBLE, record};
 
@@ -97,7 +97,7 @@ fn solve(lab: &Lab, room: &Room, bounds_m2: &[f64], choice: Choice) -> Outcome {
     let scene = PIPELINE.split_once("[traces]").expect("the pipeline reads traces").1;
     let scene = scene.replace(", session = \"session\"", "");
     // Weak patches are not what is asked here, and the table of them is another.
-    let scene = without_search(&scene);
+    let scene = one_look(&scene);
     let start = import(lab, "calibration", "calibration", "calibration.parquet") + "[traces]" + &scene;
     let out = format!("{choice:?}");
     let set = |value: &str| vec![format!("stir.extent_max_ps={value}")];

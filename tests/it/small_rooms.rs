@@ -12,7 +12,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::lab::{Lab, point_onset, without_search, write_table};
+use crate::lab::{Lab, one_look, point_onset, write_table};
 use crate::missed;
 
 const SCENE: &str = include_str!("../../pipelines/scene.toml");
@@ -154,7 +154,7 @@ fn pipeline(onsets: &std::path::Path) -> String {
     format!(
         "[onsets]\nstage = 'import'\nparams = {{ table = 'onsets', path = '{}' }}\n{}",
         onsets.display(),
-        without_search(from_labels).replace(", calibration = \"calibration\"", "")
+        one_look(from_labels).replace(", calibration = \"calibration\"", "")
     )
 }
 

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::problem::{SensorProfiles, View};
 use crate::Point;
 use crate::association::Time;
-use crate::footprint::Footprints;
+use crate::footprint::{Footprints, LengthSpread};
 use crate::hidden::{Focus, Hidden, facing};
 use crate::units::PatchId;
 
@@ -26,6 +26,17 @@ pub struct Scene {
     deep: BTreeMap<PatchId, f64>,
     /// The hidden patches that show these.
     shown_by: Vec<PatchId>,
+}
+
+/// Light of one path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Light {
+    /// Mean length of the path over its patches.
+    pub length_m: f64,
+    /// Standard deviation of that by the errors of the patches' places.
+    pub length_sd_m: f64,
+    /// How far lengths are spread over the patches.
+    pub spread: LengthSpread,
 }
 
 /// A path with the time at which its light is expected.
@@ -150,16 +161,29 @@ impl Scene {
     /// The time of a path as the profile's sensor records it, the profile's delay included.
     pub(super) fn predict(&self, path: Vec<PatchId>, view: View) -> Prediction {
         let medium = view.medium();
+        let stations = [view.sensor.source, view.sensor.sensor];
         let time = Time {
-            time_ps: medium.time_ps(self.length_m(&path, view)) + view.profile.delay_ps,
-            sd_ps: medium.time_ps(self.length_sd_m(&path, view)).hypot(view.profile.delay_sd_ps),
+            time_ps: medium.time_ps(self.length_m(&path, stations)) + view.profile.delay_ps,
+            sd_ps: medium.time_ps(self.length_sd_m(&path, stations)).hypot(view.profile.delay_sd_ps),
         };
         Prediction { path, turns: 0, time }
     }
 
+    /// The light that takes a path from a laser at `source` to a sensor.
+    ///
+    /// # Panics
+    /// Where a patch of the path is not in place ([`Self::has`]).
+    #[must_use]
+    pub fn light(&self, path: &[PatchId], source: Point, sensor: Point) -> Light {
+        Light {
+            length_m: self.length_m(path, [source, sensor]),
+            length_sd_m: self.length_sd_m(path, [source, sensor]),
+            spread: self.footprints.spread(source, path, |patch| self.points[patch], sensor),
+        }
+    }
+
     /// Mean length of a path over the footprints of its patches.
-    fn length_m(&self, path: &[PatchId], view: View) -> f64 {
-        let (source, sensor) = (view.sensor.source, view.sensor.sensor);
+    fn length_m(&self, path: &[PatchId], [source, sensor]: [Point; 2]) -> f64 {
         let (end, length_m) = path.iter().fold((source, 0.0), |(at, length_m), patch| {
             let point = self.points[patch];
             (point, length_m + (point - at).norm())
@@ -169,8 +193,8 @@ impl Scene {
     }
 
     /// Standard deviation of a path's length from the errors of its patches.
-    fn length_sd_m(&self, path: &[PatchId], view: View) -> f64 {
-        let slopes = self.slopes(path, view);
+    fn length_sd_m(&self, path: &[PatchId], stations: [Point; 2]) -> f64 {
+        let slopes = self.slopes(path, stations);
         let pairs = slopes.iter().flat_map(|a| slopes.iter().map(move |b| (a, b)));
         let variance_m2: f64 = pairs
             .map(|((a, slope_a), (b, slope_b))| {
@@ -181,12 +205,12 @@ impl Scene {
     }
 
     /// How a path's length changes as its patches move; a patch that the path meets twice has the sum.
-    fn slopes(&self, path: &[PatchId], view: View) -> BTreeMap<PatchId, Vector3<f64>> {
+    fn slopes(&self, path: &[PatchId], [source, sensor]: [Point; 2]) -> BTreeMap<PatchId, Vector3<f64>> {
         let mut slopes: BTreeMap<PatchId, Vector3<f64>> = BTreeMap::new();
         for (n, patch) in path.iter().enumerate() {
             let point = self.points[patch];
-            let before = if n == 0 { view.sensor.source } else { self.points[&path[n - 1]] };
-            let after = path.get(n + 1).map_or(view.sensor.sensor, |next| self.points[next]);
+            let before = if n == 0 { source } else { self.points[&path[n - 1]] };
+            let after = path.get(n + 1).map_or(sensor, |next| self.points[next]);
             let slope = unit(point - before) + unit(point - after);
             *slopes.entry(*patch).or_insert_with(Vector3::zeros) += slope;
         }

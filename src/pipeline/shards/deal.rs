@@ -13,14 +13,19 @@ use crate::stages::source::{Piece, Ticket};
 use crate::store::{Digest, Shelf, StoreError};
 
 /// Steps whose parts are distributed: those that stream from raw files, except those whose whole tables the others
-/// need.
+/// need. Nor those that need a whole table that is made of the same files, since no part of it is there before all are.
 fn dealt(plan: &Plan<'_>) -> Vec<usize> {
     let count = plan.tables.len();
     let mut streams = vec![false; count];
+    // Of each step the source that it streams from, and all steps that it needs.
+    let (mut sources, mut needs): (Vec<usize>, Vec<BTreeSet<usize>>) = (Vec::new(), Vec::new());
     for i in 0..count {
+        sources.push(plan.from(i).map_or(i, |from| sources[from]));
+        needs.push(plan.inputs(i).into_iter().flat_map(|input| needs[input].iter().copied().chain([input])).collect());
+        let waits = plan.beside_steps(i).any(|step| step == sources[i] || needs[step].contains(&sources[i]));
         streams[i] = match plan.from(i) {
             None => plan.sources[&i].parts().is_empty() || plan.sources[&i].ticket(0).is_some(),
-            Some(from) => plan.streams(i) && streams[from],
+            Some(from) => plan.streams(i) && streams[from] && !waits,
         };
     }
     let mut is_beside = vec![false; count];

@@ -127,7 +127,7 @@ impl Attempt {
             .collect();
         let means_v: Vec<&[f64]> = records.iter().map(|(profile, _)| profile.mean_v).collect();
         let model = Model::new(&supposed, options, shared_amplitudes);
-        let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max);
+        let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max).starting_from(&options.predictions);
         let (state, evidences) = fitter.grown();
         let widths: Vec<Option<Width>> =
             (0..records.len()).map(|r| Width::of(&fitter, &state, r, causes[r].stretch, options.width_sd)).collect();

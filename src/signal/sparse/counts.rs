@@ -129,7 +129,9 @@ fn fit_with(
     let model = Model::new(&[(profile, response)], &options, true);
     // Of a Poisson number: one over its mean.
     let kurtosis = means.iter().map(|mean| 1.0 / mean).collect();
-    let fitter = Fitter::new(model, &[&histogram.counts], threshold, options.pulses_max).with_kurtosis(kurtosis);
+    let fitter = Fitter::new(model, &[&histogram.counts], threshold, options.pulses_max)
+        .with_kurtosis(kurtosis)
+        .starting_from(&options.predictions);
     let (state, evidences) = fitter.grown();
     run(&fitter, &state, evidences, Vec::new(), threshold).remove(0)
 }

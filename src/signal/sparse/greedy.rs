@@ -3,6 +3,7 @@
 use super::column::Column;
 use super::model::Model;
 use super::place::{Place, Spread};
+use super::prediction::Prediction;
 use super::projection::Projection;
 use super::refine::refine;
 use super::search::{MatchedFilter, best_pair};
@@ -35,6 +36,8 @@ pub(super) struct Fitter<'a> {
     filter: MatchedFilter,
     evidence_min: f64,
     pulses_max: usize,
+    /// Pulses to start from.
+    predicted: Vec<Place>,
     /// Excess kurtosis of each sample's noise, of each record; nothing for Gaussian noise.
     kurtosis: Vec<Vec<f64>>,
 }
@@ -67,7 +70,24 @@ impl<'a> Fitter<'a> {
         let determinants = model.records.iter().map(|record| record.nuisance.log_determinant());
         let cost = chi2.sum::<f64>() + determinants.sum::<f64>();
         let kurtosis = vec![Vec::new(); model.records.len()];
-        Self { filter: MatchedFilter::new(&model), model, data, means_v, cost, evidence_min, pulses_max, kurtosis }
+        Self {
+            filter: MatchedFilter::new(&model),
+            model,
+            data,
+            means_v,
+            cost,
+            evidence_min,
+            pulses_max,
+            predicted: Vec::new(),
+            kurtosis,
+        }
+    }
+
+    /// From pulses that are predicted, those outside of a record left out.
+    pub(super) fn starting_from(mut self, predictions: &[Prediction]) -> Self {
+        let places = predictions.iter().map(|pulse| pulse.place(self.model.width_ps, self.model.extent_max_ps));
+        self.predicted = places.filter(|place| self.model.is_inside(place.time_ps)).collect();
+        self
     }
 
     /// With noise in record 0 that is not Gaussian.
@@ -84,9 +104,17 @@ impl<'a> Fitter<'a> {
         self
     }
 
-    /// The state without pulses.
+    /// The state with the pulses that are predicted. Where two of them cannot be told apart, the later
+    /// of the list is left out.
     fn start(&self) -> State {
-        self.solve(Vec::new()).expect("nothing can coincide")
+        let solve = |places: &[Place]| self.solve(places.to_vec());
+        solve(&self.predicted).unwrap_or_else(|| {
+            let nothing = solve(&[]).expect("nothing can coincide");
+            self.predicted.iter().fold(nothing, |state, place| {
+                let more = [state.fit.places.as_slice(), &[*place]].concat();
+                solve(&more).unwrap_or(state)
+            })
+        })
     }
 
     /// The state with all pulses that are worth their evidence, and the evidence of each.
@@ -145,13 +173,17 @@ impl<'a> Fitter<'a> {
             0 => self.widening(state, k),
             _ => (self.excess(state, k), place.variance_ps2),
         };
+        // A predicted pulse has the width that is predicted, unless noise does not explain what it leaves.
+        if place.prior.is_some() && self.misfit(state, None, Some(k)).inflation() == 1.0 {
+            return None;
+        }
         let least = WIDENED * self.evidence_min;
         let extended = if self.model.extent_max_ps > 0.0 && misfit > least.min(self.width_cost(state, k)) {
             self.extended(state, k, variance_ps2)
         } else {
             None
         };
-        if self.model.signed || misfit < least || state.pulses() >= self.pulses_max {
+        if self.model.signed || place.prior.is_some() || misfit < least || state.pulses() >= self.pulses_max {
             return extended;
         }
         let Some(pair) = self.pair(state, k) else { return extended };
@@ -327,13 +359,15 @@ impl<'a> Fitter<'a> {
     }
 
     /// Pulse `k` taken out. A neighbour that may have been split off from it starts from where one pulse would stand
-    /// for both. That pulse is a point or, where that is allowed and better, an extended one.
+    /// for both, unless one of them is predicted. That pulse is a point or, where that is allowed and better, an
+    /// extended one.
     fn removal(&self, state: &State, k: usize) -> Option<Change> {
         let distance = |j: usize| (state.time_ps(j) - state.time_ps(k)).abs();
         let neighbour = (0..state.pulses())
             .filter(|j| *j != k && distance(*j) < self.model.width_ps)
             .min_by(|i, j| distance(*i).total_cmp(&distance(*j)));
-        let Some(j) = neighbour else {
+        let are_free = |j: &usize| state.place(*j).prior.is_none() && state.place(k).prior.is_none();
+        let Some(j) = neighbour.filter(are_free) else {
             return self.change(state, &[k], state.time_ps(k), &[]);
         };
         let share = state.amplitude(k) / (state.amplitude(j) + state.amplitude(k));
@@ -362,9 +396,13 @@ impl<'a> Fitter<'a> {
             // Without a fit for the rest, a pulse is indispensable.
             let evidence = |r: &Option<Change>| r.as_ref().map_or(f64::INFINITY, |r| -r.drop);
             let evidences: Vec<f64> = removals.iter().map(evidence).collect();
+            // What is predicted may be there even where it shows no light: that much others beside it are unsure.
+            let is_free = |(k, _): &(usize, Option<Change>)| state.place(*k).prior.is_none();
             let fewer = removals
                 .into_iter()
-                .flatten()
+                .enumerate()
+                .filter(is_free)
+                .filter_map(|(_, removal)| removal)
                 .max_by(|a, b| a.drop.total_cmp(&b.drop))
                 .filter(|weakest| -weakest.drop < self.evidence_min)
                 .or_else(|| self.simpler(&state))
@@ -378,12 +416,13 @@ impl<'a> Fitter<'a> {
 
     /// The first pulse whose last parameter of shape is not worth its evidence, without it.
     fn simpler(&self, state: &State) -> Option<Change> {
-        let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| place.shapes() > 0);
+        let is_free = |place: &Place| place.shapes() > usize::from(place.prior.is_some());
+        let mut extended = state.fit.places.iter().enumerate().filter(|(_, place)| is_free(place));
         extended.find_map(|(k, place)| {
             let less = match place.spread {
                 Spread::Gaussian => Place::point(place.time_ps),
                 Spread::TiltedDisks { kurtosis, .. } => Place { spread: Spread::Disks { kurtosis }, ..*place },
-                _ => Place::widened(place.time_ps, place.variance_ps2),
+                _ => Place { spread: Spread::Gaussian, ..*place },
             };
             let cost = self.width_cost(state, k);
             self.change(state, &[k], place.time_ps, &[less]).filter(|change| -change.drop < cost)

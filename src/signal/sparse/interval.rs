@@ -49,7 +49,10 @@ impl Fitter<'_> {
                 let apart_ps = (state.time_ps(j) - state.time_ps(k)).abs();
                 j != k && apart_ps < CLEAR_SDS * inflation * sds_ps[j].max(sds_ps[k])
             };
-            let blend = (0..state.pulses()).any(is_close).then(|| self.blend(state, k, sds_ps[k])).flatten();
+            // A predicted time is held by its prior to where first order serves.
+            let is_free = state.place(k).prior.is_none();
+            let blend =
+                (is_free && (0..state.pulses()).any(is_close)).then(|| self.blend(state, k, sds_ps[k])).flatten();
             blend.map_or(inflation, |blend| inflation.max(blend.half_width(inflation * QUANTILE) / QUANTILE))
         };
         (0..state.pulses()).map(widening).collect()

@@ -9,6 +9,7 @@ use super::evidence::{evidence_min_joint, evidence_min_of};
 use super::greedy::Fitter;
 use super::model::Model;
 use super::pair::PairFit;
+use super::prediction::{OwnTimes, without};
 use super::state::State;
 use super::{FALSE_PULSES, Profile, Pulse, Response, SparseFit, SparseOptions};
 
@@ -83,7 +84,9 @@ struct Judged {
 /// The fit as record `r` sees it, pulses in order of time.
 fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_min: f64) -> SparseFit {
     let Judged { evidences, widenings, pairs, common } = judged;
-    let mut order: Vec<usize> = (0..state.pulses()).collect();
+    // What is predicted and shows no light is no pulse; what it may hide is in the errors of those beside it.
+    let is_pulse = |k: &usize| state.fit.has_amplitude(*k) || state.place(*k).prior.is_none();
+    let mut order: Vec<usize> = (0..state.pulses()).filter(is_pulse).collect();
     order.sort_by(|i, j| state.time_ps(*i).total_cmp(&state.time_ps(*j)));
     let (all, unknowns) = state.covariance();
     let shared = |i: usize, j: usize| {
@@ -93,17 +96,24 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
     // All records' samples of a pulse speak for its time.
     let inflations: Vec<f64> = order.iter().map(|&k| fitter.misfit(state, None, Some(k)).inflation()).collect();
     let group = fitter.group_of(r);
-    let pulse = |(&k, inflation): (&usize, &f64)| {
+    let each = || order.iter().flat_map(|&i| order.iter().map(move |&j| (i, j)));
+    let of_times = |i: usize, j: usize| (state.time_unknown(i), state.time_unknown(j));
+    let with_priors = each().map(|(i, j)| of_times(i, j)).map(|(i, j)| all[i * unknowns + j]).collect();
+    let pulls: Vec<_> = order.iter().map(|&k| state.place(k).pull(0)).collect();
+    let own_times = OwnTimes::new(with_priors, &pulls, fitter.model.width_ps);
+    let pulse = |(n, (&k, inflation)): (usize, (&usize, &f64))| {
         let place = state.place(k);
         let sd = |unknown: usize| covariance(unknown, unknown).sqrt() * inflation;
         let (time, amplitude) = (state.time_unknown(k), group * state.pulses() + k);
         let width_ps = place.variance_ps2.sqrt();
         Pulse {
             time_ps: place.time_ps,
+            time_sd_ps: covariance(time, time).sqrt() * widenings[k],
+            own_time_ps: place.time_ps + own_times.moves_ps[n],
             width_ps,
             kurtosis: place.kurtosis(),
             tilt: place.tilt(),
-            width_sd_ps: if width_ps > 0.0 { sd(time + 1) / (2.0 * width_ps) } else { 0.0 },
+            width_sd_ps: if width_ps > 0.0 { without(place.pull(1), sd(time + 1)) / (2.0 * width_ps) } else { 0.0 },
             tail_ps: place.tail_ps(),
             tail_sd_ps: if place.tail_ps() > 0.0 { sd(time + 2) } else { 0.0 },
             amplitude_v: state.amplitude_of(group, k),
@@ -115,11 +125,13 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
             pair: pairs[k].as_ref().map(|pair| pair.of_group(group)),
         }
     };
-    let pulses = order.iter().zip(&inflations).map(pulse).collect();
-    let covariance_ps2 = order
-        .iter()
-        .flat_map(|&i| order.iter().map(move |&j| (i, j)))
-        .map(|(i, j)| covariance(state.time_unknown(i), state.time_unknown(j)) * widenings[i] * widenings[j])
+    let pulses = order.iter().zip(&inflations).enumerate().map(pulse).collect();
+    let covariance_ps2 = each()
+        .zip(&own_times.covariance_ps2)
+        .map(|((i, j), own_ps2)| {
+            let (of_i, of_j) = of_times(i, j);
+            (own_ps2 + shared(of_i, of_j)) * widenings[i] * widenings[j]
+        })
         .collect();
     SparseFit {
         pulses,

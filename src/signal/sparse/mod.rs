@@ -42,6 +42,7 @@ mod nuisance;
 mod own_response;
 mod pair;
 mod place;
+mod prediction;
 mod projection;
 mod refine;
 mod search;
@@ -60,6 +61,7 @@ pub use matched::{Given, Matched, Open, matched};
 pub use own_response::{OwnResponse, ResponseErrors, ResponseScore};
 pub use pair::Pair;
 use place::Place;
+pub use prediction::Prediction;
 
 /// Standard deviation of the logarithm of a response's width that was calibrated another day.
 pub const WIDTH_SD: f64 = 0.03;
@@ -116,6 +118,8 @@ pub struct SparseOptions {
     pub extent_max_ps: f64,
     /// Standard deviation of the logarithm of the response's width, over what it is, before the record is seen.
     pub width_sd: f64,
+    /// Pulses that other records predict.
+    pub predictions: Vec<Prediction>,
     /// Ends the fit: polled once a trial place of pulses, and once a tap or block in passes over a whole record.
     pub cancel: Cancel,
 }
@@ -129,6 +133,7 @@ impl Default for SparseOptions {
             signed: false,
             extent_max_ps: 0.0,
             width_sd: WIDTH_SD,
+            predictions: Vec::new(),
             cancel: Cancel::never(),
         }
     }
@@ -137,15 +142,20 @@ impl Default for SparseOptions {
 /// One pulse of a fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pulse {
-    /// Arrival, ps: where time 0 of the response lies; of light that is spread in time, of its centroid.
+    /// Arrival, ps: where time 0 of the response lies; of light that is spread in time, of its centroid. Where it was
+    /// predicted, with that prior.
     pub time_ps: f64,
+    /// Standard deviation of that.
+    pub time_sd_ps: f64,
+    /// The arrival as the records alone have it, to first order; `time_ps` where no pulse was predicted.
+    pub own_time_ps: f64,
     /// Standard deviation of the spread of its light without its tail, ps; 0 for a point.
     pub width_ps: f64,
     /// Excess kurtosis of that spread: 0 for a Gaussian, -1 for the chords of a disk, between them for more disks.
     pub kurtosis: f64,
     /// Relative change of the light over a standard deviation of that spread: what is nearer is brighter.
     pub tilt: f64,
-    /// Standard deviation of `width_ps`, to first order.
+    /// Standard deviation of `width_ps`, to first order; where a width was predicted, by what the records alone say.
     pub width_sd_ps: f64,
     /// Constant of the exponential tail of its light, ps; 0 for none.
     pub tail_ps: f64,
@@ -193,10 +203,10 @@ impl Pulse {
 pub struct SparseFit {
     /// Pulses by rising time.
     pub pulses: Vec<Pulse>,
-    /// Covariance of the times, ps^2, row-major: `(J^T J)^-1`. Each pulse's sd is multiplied by the square root of its
-    /// `chi2_per_dof` where that exceeds 1 by more than three of its standard deviations. Where an sd exceeds 1/20 of
-    /// the distance of two pulses, a second sd is taken from the profile likelihood: half the 95 % interval over 1.96.
-    /// The larger counts; rows and columns grow alike.
+    /// Covariance of the times as the records alone have them, ps^2, row-major: `(J^T J)^-1`. Each pulse's sd is
+    /// multiplied by the square root of its `chi2_per_dof` where that exceeds 1 by more than three of its standard
+    /// deviations. Where an sd exceeds 1/20 of the distance of two pulses, a second sd is taken from the profile
+    /// likelihood: half the 95 % interval over 1.96. The larger counts; rows and columns grow alike.
     pub covariance_ps2: Vec<f64>,
     /// Constant under the pulses, V, as what they leave says without a slope or slow noise; 0 if none is fitted.
     pub baseline_v: f64,
@@ -213,7 +223,7 @@ pub struct SparseFit {
 }
 
 impl SparseFit {
-    /// Standard deviation of the time of pulse `k`, ps.
+    /// Standard deviation of the time of pulse `k` as the records alone have it, ps.
     ///
     /// # Panics
     /// When there is no such pulse.

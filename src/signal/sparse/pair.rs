@@ -34,6 +34,9 @@ pub(super) struct PairFit {
     gain: f64,
 }
 
+/// Light that is wider than predicted by more than so many standard deviations of that may be other light beside it.
+const WIDER_SDS: f64 = 1.0;
+
 impl PairFit {
     /// As the records of group `g` see it.
     pub(super) fn of_group(&self, g: usize) -> Pair {
@@ -47,10 +50,11 @@ impl PairFit {
 }
 
 impl Fitter<'_> {
-    /// For each pulse that is widened the best pair of points in its place; `None` for points, and where no pair stands
-    /// by itself.
+    /// For each pulse that is widened, and wider than predicted, the best pair of points in its place; `None` for
+    /// others, and where no pair stands by itself.
     pub(super) fn pairs(&self, state: &State) -> Vec<Option<PairFit>> {
-        let is_widened = |k: &usize| state.place(*k).shapes() > 0;
+        let is_wider = |[off, information]: [f64; 2]| off * information.sqrt() > WIDER_SDS;
+        let is_widened = |k: &usize| state.place(*k).shapes() > 0 && state.place(*k).pull(1).is_none_or(is_wider);
         (0..state.pulses()).map(|k| Some(k).filter(is_widened).and_then(|k| self.runner_up(state, k))).collect()
     }
 

@@ -15,6 +15,7 @@
 
 use super::Response;
 use super::nodes::{REACH_SD, REACH_TAILS, beta_nodes, gaussian_nodes, tail_nodes};
+use super::prediction::Prior;
 use std::ops::Range;
 
 /// Widest step of a kernel's nodes and widest panel of the tail's, in widths of the response.
@@ -59,6 +60,8 @@ pub(super) struct Place {
     pub(super) spread: Spread,
     /// Whether the time is held where it is.
     pub(super) is_pinned: bool,
+    /// What other records say of it.
+    pub(super) prior: Option<Prior>,
 }
 
 /// Nodes of a kernel: time after the centroid, and weight.
@@ -74,7 +77,7 @@ pub(super) struct Node {
 impl Place {
     /// A point.
     pub(super) fn point(time_ps: f64) -> Self {
-        Self { time_ps, variance_ps2: 0.0, spread: Spread::Point, is_pinned: false }
+        Self { time_ps, variance_ps2: 0.0, spread: Spread::Point, is_pinned: false, prior: None }
     }
 
     /// A Gaussian.
@@ -278,6 +281,16 @@ impl Place {
     /// Number of free parameters.
     pub(super) fn parameters(&self) -> usize {
         1 + self.shapes()
+    }
+
+    /// How far parameter `p` is off what its prior expects, and the information of that.
+    pub(super) fn pull(&self, p: usize) -> Option<[f64; 2]> {
+        self.prior.and_then(|prior| prior.pull(self, p))
+    }
+
+    /// Chi2 of its priors.
+    pub(super) fn penalty(&self) -> f64 {
+        (0..self.parameters()).filter_map(|p| self.pull(p)).map(|[off, information]| off * off * information).sum()
     }
 
     /// Moved by `step` along its free parameters: time by no more than `step_max_ps`, the shape within its limits.

@@ -13,7 +13,7 @@ use super::place::Place;
 pub(super) struct Projection {
     pub(super) places: Vec<Place>,
     pub(super) groups: Vec<Group>,
-    /// Drop of chi2 against no pulse.
+    /// Drop of chi2 against no pulse, less the chi2 of priors.
     pub(super) energy: f64,
     layout: Layout,
 }
@@ -68,7 +68,8 @@ impl Projection {
             })
             .collect();
         let groups = groups?;
-        let energy = groups.iter().map(|group| group.energy(&layout)).sum();
+        let explained: f64 = groups.iter().map(|group| group.energy(&layout)).sum();
+        let energy = explained - places.iter().map(Place::penalty).sum::<f64>();
         Some(Self { places, groups, energy, layout })
     }
 
@@ -86,6 +87,10 @@ impl Projection {
             for j in 0..i {
                 normal[j * q + i] = normal[i * q + j];
             }
+        }
+        for (i, [off, prior]) in self.pulls() {
+            normal[i * q + i] += prior;
+            gradient[i] -= prior * off;
         }
         for (i, &(k, p, _)) in self.layout.slopes.iter().enumerate() {
             if normal[i * q + i] <= 0.0 || self.places[k].is_held(p, gradient[i], extent_max_ps) {
@@ -118,7 +123,13 @@ impl Projection {
             .collect()
     }
 
-    /// Factor of the information matrix of all unknowns. `None` if two pulses cannot be resolved.
+    /// Of each parameter of a place that has a prior: its number, how far it is off, and the prior's information.
+    fn pulls(&self) -> impl Iterator<Item = (usize, [f64; 2])> {
+        let slopes = self.layout.slopes.iter().enumerate();
+        slopes.filter_map(|(i, (k, p, _))| Some((i, self.places[*k].pull(*p)?)))
+    }
+
+    /// Factor of the information matrix of all unknowns, with their priors. `None` if two pulses cannot be resolved.
     pub(super) fn factor(&self) -> Option<Cholesky> {
         let unknowns = self.unknowns();
         let mut information = vec![0.0; unknowns * unknowns];
@@ -129,6 +140,10 @@ impl Projection {
                     information[i * unknowns + j] += a * b * group.products[p * self.layout.n + q];
                 }
             }
+        }
+        let first = self.groups.len() * self.places.len();
+        for (i, [_, prior]) in self.pulls() {
+            information[(first + i) * (unknowns + 1)] += prior;
         }
         Cholesky::new(information, unknowns)
     }
@@ -183,12 +198,13 @@ impl Projection {
     }
 
     /// Columns of group `g` in the information matrix: unknown, value or derivative, and its factor. The derivative by
-    /// a parameter is the amplitude times that of a pulse of amplitude 1; of a pulse without any amplitude, as if it
-    /// were 1.
+    /// a parameter is the amplitude times that of a pulse of amplitude 1; of a pulse without any amplitude that
+    /// no prior holds, as if it were 1.
     fn basis(&self, g: usize) -> Vec<(usize, usize, f64)> {
         let k = self.places.len();
         let amplitude = |pulse: usize| {
-            if self.has_amplitude(pulse) { self.groups[g].amplitudes[pulse] } else { 1.0 }
+            let is_lit = self.has_amplitude(pulse) || self.places[pulse].prior.is_some();
+            if is_lit { self.groups[g].amplitudes[pulse] } else { 1.0 }
         };
         let values = self.layout.values.iter().enumerate().map(|(i, value)| (g * k + i, *value, 1.0));
         let slopes = self.layout.slopes.iter().enumerate();

@@ -6,6 +6,7 @@ mod counts;
 mod extended;
 mod joint;
 mod own_response;
+mod predictions;
 
 use super::*;
 use rand::{RngExt, SeedableRng};

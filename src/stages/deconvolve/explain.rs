@@ -30,7 +30,7 @@ pub(super) struct Explained {
 /// Profiles of the same light by maximum likelihood off the grid, as the first of them sees it. Each comes with the
 /// response that its pulses have in it.
 pub(super) fn jointly(profiles: &[(sparse::Profile, &Response)], options: &SparseOptions) -> Explained {
-    Explained::of(&sparse::fit_joint(profiles, options, false)[0])
+    Explained::of(&sparse::fit_joint(profiles, options, false)[0], !options.predictions.is_empty())
 }
 
 /// Photon counts by their likelihood; of the profile only its time axis matters.
@@ -39,14 +39,15 @@ pub(super) fn counts(
     (profile, response): (sparse::Profile, &Response),
     options: &SparseOptions,
 ) -> Explained {
-    Explained::of(&sparse::fit_counts(unpiled, profile.t0_ps, profile.dt_ps, response, options))
+    let fit = sparse::fit_counts(unpiled, profile.t0_ps, profile.dt_ps, response, options);
+    Explained::of(&fit, !options.predictions.is_empty())
 }
 
 impl Explained {
-    fn of(fit: &SparseFit) -> Self {
-        let impulse = |(k, pulse): (usize, &Pulse)| Impulse {
+    fn of(fit: &SparseFit, are_predicted: bool) -> Self {
+        let impulse = |pulse: &Pulse| Impulse {
             time_ps: pulse.time_ps,
-            time_sd_ps: fit.time_sd_ps(k),
+            time_sd_ps: pulse.time_sd_ps,
             amplitude_v: pulse.amplitude_v,
             amplitude_sd_v: pulse.amplitude_sd_v,
             // A Gaussian and the tail behind it together.
@@ -58,9 +59,10 @@ impl Explained {
             width_kurtosis: (pulse.width_ps > 0.0).then_some(pulse.kurtosis),
             width_tilt: (pulse.width_ps > 0.0).then_some(pulse.tilt),
             tail_ps: (pulse.tail_ps > 0.0).then_some(pulse.tail_ps),
+            own_time_ps: are_predicted.then_some(pulse.own_time_ps),
             pair: pulse.pair.as_ref().map(pair),
         };
-        let impulses = fit.pulses.iter().enumerate().map(impulse).collect();
+        let impulses = fit.pulses.iter().map(impulse).collect();
         Self {
             impulses,
             covariance_ps2: fit.covariance_ps2.clone(),

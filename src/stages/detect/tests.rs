@@ -39,6 +39,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         width_kurtosis: None,
         width_tilt: None,
         tail_ps: None,
+        own_time_ps: None,
         pair: None,
     };
     Stir {

@@ -44,6 +44,8 @@ struct Place {
 
 fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium: Medium) -> Label {
     let part = place.origin.part;
+    let own = if part == 0 { own(onset) } else { None };
+    let Place { time_ps, sd_ps, .. } = own.map_or(place, |[time_ps, sd_ps]| Place { time_ps, sd_ps, ..place });
     Label {
         campaign: onset.campaign.clone(),
         sensor: onset.sensor.clone(),
@@ -53,8 +55,8 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         acquired_at: onset.acquired_at.clone(),
         rank: onset.rank,
         part,
-        time_ps: place.time_ps + medium.turns_ps(verdict.turns),
-        time_sd_ps: place.sd_ps.hypot(verdict.blend_sd_ps),
+        time_ps: time_ps + medium.turns_ps(verdict.turns),
+        time_sd_ps: sd_ps.hypot(verdict.blend_sd_ps),
         covariance: if alternative == 0 { covariance_ps2(onset, place.origin) } else { Vec::new() },
         width_ps: (part == 0).then_some(onset.width_ps),
         width_sd_ps: onset.width_sd_ps.filter(|_| part == 0),
@@ -67,6 +69,12 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         probability: verdict.probability,
         alternative,
     }
+}
+
+/// Time and standard deviation of an onset as its profile alone has them; `None` where they rest on nothing else.
+fn own(onset: &Onset) -> Option<[f64; 2]> {
+    let variance_ps2 = *covariances::of_onset_ps2(onset).get(onset.rank as usize - 1)?;
+    Some([onset.own_time_ps?, variance_ps2.sqrt()])
 }
 
 /// Of an onset or a part of it with all onsets of its profile; that of a part with others is its onset's.

@@ -123,6 +123,20 @@ fn a_label_is_its_onset_with_path_periods_and_shared_jitter() {
     assert_eq!(rows::covariance_ps2(&onset, part), [-30.0, 50.0 + 225.0]);
 }
 
+/// An onset that other profiles predict is labelled by its time with that, and its label has the time without.
+#[test]
+fn a_label_has_the_time_that_its_profile_alone_gives() {
+    let points = wall(0.1);
+    let mut onsets = onsets(&points);
+    let own_ps = onsets[0].time_ps + 70.0;
+    onsets[0] = Onset { own_time_ps: Some(own_ps), covariance: vec![1600.0, 0.0], ..onsets[0].clone() };
+    let (labels, _, _) = searched(&points, &onsets, &[]);
+    let label = labels.iter().find(|label| (label.lit, label.seen, label.rank) == (1, 1, 1)).unwrap();
+    assert_eq!(label.path.as_deref(), Some(&[1][..]));
+    assert_eq!((label.time_ps, label.time_sd_ps), (own_ps, 1600_f64.sqrt().hypot(15.0)));
+    assert!(label.residual_ps.unwrap().abs() < 1e-6, "{label:?}");
+}
+
 /// Of delays by range that of the onset's own counts, else the only one.
 #[test]
 fn onsets_are_predicted_with_the_delay_of_their_range() {

@@ -4,7 +4,7 @@ use super::*;
 
 /// Samples of a pulse whose light is spread by a Gaussian of sd `width`, and a centred exponential tail: rectangle
 /// rule.
-fn spread(shape: &Shape, at: f64, width: f64, tail: f64, len: usize) -> Vec<f64> {
+pub(super) fn spread(shape: &Shape, at: f64, width: f64, tail: f64, len: usize) -> Vec<f64> {
     let gaussian: Vec<(f64, f64)> = (-40..=40)
         .map(|i| 0.125 * f64::from(i))
         .map(|x| (width * x, 0.125 * (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt()))
