@@ -44,8 +44,7 @@ fn a_killed_run_goes_on_to_the_same_bytes_and_makes_no_finished_part_again() {
 fn interrupted(lab: &ManyParts, whole: &BTreeMap<PathBuf, blake3::Hash>) {
     let child = lab.start("interrupted");
     // As soon as some parts of several are finished.
-    let is_among_parts =
-        || lab.finished("interrupted").keys().filter(|path| path.ends_with_table("draft_stir")).count() >= 2;
+    let is_among_parts = || lab.finished("interrupted").keys().filter(|path| path.ends_with_table("stir")).count() >= 2;
     let start = Instant::now();
     while !is_among_parts() && start.elapsed() < Duration::from_secs(20) {
         std::thread::sleep(Duration::from_millis(2));
