@@ -14,7 +14,7 @@ import polars as pl
 
 OUT = Path(__file__).resolve().parent / "demo-hidden-plane.svg"
 # Errors and error bars are a thousandth of the scene: both are drawn larger by this factor.
-LARGER = 20
+LARGER = 60
 STYLE = """<style>
 .back{fill:#fff}.ink{fill:#24292f}.soft{fill:#57606a}.wall{stroke:#afb8c1;stroke-width:7;stroke-linecap:round}
 .truth{fill:none;stroke:#24292f;stroke-width:1.6}.bar{stroke:#57606a;stroke-width:2}

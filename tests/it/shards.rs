@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 use std::sync::Mutex;
 use std::time::Duration;
@@ -70,6 +71,8 @@ fn three_workers_one_killed_at_a_third_leave_the_bytes_of_a_single_run() {
     assert!(lab.run("single").status.success());
     let lines = plan(&lab, "out", "28", &[]);
     assert_eq!(lines.len(), 28);
+    let is_stir = |path: &PathBuf| path.file_name().is_some_and(|name| name.to_string_lossy().contains(".stir."));
+    assert!(!lab.finished("out").keys().any(is_stir), "who plans averages nothing of the scene");
     let captures: u64 = lines.values().map(|line| line["captures"].as_u64().unwrap()).sum();
     let inputs: BTreeSet<&str> =
         lines.values().flat_map(|line| line["inputs"].as_array().unwrap()).map(|file| file.as_str().unwrap()).collect();
