@@ -35,6 +35,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "fits" | "scenes" => &["alternative"],
         "ambiguities" => &["kind", "patches", "alternative"],
         "rejects" => &["stage", "campaign", "file", "segment", "byte_offset"],
+        "predictions" => &["campaign", "sensor", "lit", "seen", "range", "path"],
         "true_paths" => &["campaign", "sensor", "lit", "seen", "path"],
         "true_centroids" => &["campaign", "sensor", "patch"],
         "true_captures" => &["campaign", "sensor", "lit", "seen", "role", "range", "file"],
