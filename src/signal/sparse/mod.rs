@@ -20,6 +20,9 @@
 //! Light that extended patches spread in time is modelled where [`SparseOptions::extent_max_ps`] allows it. Several
 //! records of the same pulses are fitted together by [`fit_joint`]; histograms of single photons by [`fit_counts`].
 //!
+//! Pulses that other records predict ([`SparseOptions::predictions`]) are started from, with priors of their times and
+//! widths; results hold the times without these priors too.
+//!
 //! A baseline that moves the same way in every shot, and a response of another width than the calibration's, are tried
 //! where a record asks for them. Many records together show another shape of it, an echo or a tail: [`ResponseErrors`].
 //!
