@@ -217,8 +217,8 @@ fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
 }
 
 /// All are found, at half a millimetre rms, though third bounces of two patches may blend in all profiles: a second
-/// look at these knows what to look for (`predict`). Those on a plane are as flat as their errors allow. Visible patches
-/// stand where second bounces of 100,000 times their noise say, though none of these is a point of light.
+/// look at these knows what to look for (`predict`). Those on a plane are as flat as their errors allow. Visible
+/// patches stand where second bounces of 100,000 times their noise say, though none of these is a point of light.
 #[test]
 fn patches_on_a_hidden_plane_are_found_and_flat() {
     let drawn = drawn(1);
