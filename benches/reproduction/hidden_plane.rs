@@ -28,20 +28,22 @@ fn from_files(seeds: u64) {
     let placed: Vec<(f64, f64, f64)> =
         places.iter().filter_map(|place| place.found_m.map(|(error, sd)| (error, sd, place.bound_m))).collect();
     let errors_mm: Vec<f64> = placed.iter().map(|(error_m, ..)| 1e3 * error_m).collect();
+    let sds_mm: Vec<f64> = placed.iter().map(|(_, sd_m, _)| 1e3 * sd_m).collect();
     let bounds_mm: Vec<f64> = placed.iter().map(|(.., bound_m)| 1e3 * bound_m).collect();
     let planes: Vec<f64> = all.iter().filter_map(|drawn| drawn.plane.map(|(_, rms_m)| 1e3 * rms_m)).collect();
     let on_plane: usize = all.iter().filter_map(|drawn| drawn.plane.map(|(patches, _)| patches)).sum();
     println!(
-        "| scenes | patches found | found beside them | median error (mm) | 90 % (mm) | rms (mm) | rms bound (mm) | told to lie on the plane | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|"
+        "| scenes | patches found | found beside them | median error (mm) | 90 % (mm) | rms (mm) | rms of the standard deviations (mm) | rms bound (mm) | told to lie on the plane | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|---|"
     );
     println!(
-        "| {seeds} | {} of {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {on_plane} | {:.2} |",
+        "| {seeds} | {} of {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {on_plane} | {:.2} |",
         placed.len(),
         places.len(),
         all.iter().map(|drawn| drawn.scored.extra).sum::<usize>(),
         quantile(&errors_mm, 0.5),
         quantile(&errors_mm, 0.9),
         rms(&errors_mm),
+        rms(&sds_mm),
         rms(&bounds_mm),
         rms(&planes),
     );

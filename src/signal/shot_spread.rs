@@ -275,6 +275,28 @@ mod tests {
         (0..HEAD_SHOTS).map(|_| shot()).collect()
     }
 
+    /// One pass over the shots shows what each difference from the mean by itself does.
+    #[test]
+    fn the_spread_is_that_of_differences_one_by_one() {
+        // Long enough for several stretches.
+        let shots = pulses(2.5, 0.1, &mut ChaCha8Rng::seed_from_u64(4));
+        let shots: Vec<(Vec<u8>, i64)> = shots.iter().map(|(bytes, at)| (bytes.repeat(3), *at)).collect();
+        let views: Vec<(Codes<'_>, i64)> = shots.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
+        let mut sums = crate::average::PhaseSums::new(600);
+        views.iter().for_each(|(codes, position)| sums.add(*codes, *position));
+        let mean = sums.finish().unwrap();
+        let spread = Spread::of(&views, &mean, &Dark::at_start(40));
+        let differences = crate::dark::differences(&views, &mean);
+        let count = differences.iter().map(Vec::len).sum::<usize>() as f64;
+        let square = differences.iter().flatten().map(|value| value * value).sum::<f64>() / count;
+        assert!((spread.mean_square / square - 1.0).abs() < 1e-9, "{} {square}", spread.mean_square);
+        let block = spread.differences.block();
+        for (means, difference) in spread.differences.shots().zip(&differences) {
+            let naive = difference.chunks_exact(block).map(|block| block.iter().sum::<f64>() / block.len() as f64);
+            assert!(means.iter().zip(naive).all(|(mean, naive)| (mean - naive).abs() < 1e-9));
+        }
+    }
+
     /// Jitter is seen in full. A pulse that is too fast for its sampling, whose shots differ by far more than noise
     /// where it is steep, shows nearly none.
     #[test]

@@ -79,7 +79,7 @@ impl Footprints {
 impl Footprint {
     /// Variance of the length of a path of this gradient over the disk.
     fn variance_m2(&self, slope: &Vector3<f64>) -> f64 {
-        (slope.norm_squared() - self.normal.dot(slope).powi(2)).max(0.0) * self.size_m * self.size_m / 16.0
+        (0.25 * self.size_m * self.normal).cross(slope).norm_squared()
     }
 }
 

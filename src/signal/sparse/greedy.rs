@@ -104,15 +104,13 @@ impl<'a> Fitter<'a> {
         self
     }
 
-    /// The state with the pulses that are predicted. Where two of them cannot be told apart, the later
-    /// of the list is left out.
+    /// The state with the pulses that are predicted. Where two of them cannot be told apart, the later of the list is
+    /// left out.
     fn start(&self) -> State {
-        let solve = |places: &[Place]| self.solve(places.to_vec());
-        solve(&self.predicted).unwrap_or_else(|| {
-            let nothing = solve(&[]).expect("nothing can coincide");
+        self.solve(self.predicted.clone()).unwrap_or_else(|| {
+            let nothing = self.solve(Vec::new()).expect("nothing can coincide");
             self.predicted.iter().fold(nothing, |state, place| {
-                let more = [state.fit.places.as_slice(), &[*place]].concat();
-                solve(&more).unwrap_or(state)
+                self.solve([state.fit.places.as_slice(), &[*place]].concat()).unwrap_or(state)
             })
         })
     }
@@ -169,21 +167,22 @@ impl<'a> Fitter<'a> {
     /// place, if the pair explains the samples better by `evidence_min`.
     fn replacement(&self, state: &State, k: usize) -> Option<Change> {
         let place = state.fit.places[k];
+        let is_predicted = place.prior.is_some();
+        // A predicted pulse has the width that is predicted, unless noise does not explain what it leaves.
+        if is_predicted && self.misfit(state, None, Some(k)).inflation() == 1.0 {
+            return None;
+        }
         let (misfit, variance_ps2) = match place.shapes() {
             0 => self.widening(state, k),
             _ => (self.excess(state, k), place.variance_ps2),
         };
-        // A predicted pulse has the width that is predicted, unless noise does not explain what it leaves.
-        if place.prior.is_some() && self.misfit(state, None, Some(k)).inflation() == 1.0 {
-            return None;
-        }
         let least = WIDENED * self.evidence_min;
         let extended = if self.model.extent_max_ps > 0.0 && misfit > least.min(self.width_cost(state, k)) {
             self.extended(state, k, variance_ps2)
         } else {
             None
         };
-        if self.model.signed || place.prior.is_some() || misfit < least || state.pulses() >= self.pulses_max {
+        if self.model.signed || is_predicted || misfit < least || state.pulses() >= self.pulses_max {
             return extended;
         }
         let Some(pair) = self.pair(state, k) else { return extended };

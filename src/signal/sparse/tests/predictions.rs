@@ -65,7 +65,7 @@ fn own_times_of_a_blend_are_as_sure_as_they_say() {
 
 /// The same record with another expectation has the same own times, but for what is not linear.
 #[test]
-fn what_was_expected_of_a_time_is_taken_out_again() {
+fn what_was_predicted_of_a_time_is_taken_out_again() {
     let mut rng = ChaCha8Rng::seed_from_u64(82);
     let (sd, len) = (1.0 / 400.0, 120);
     let shape = gaussian();
