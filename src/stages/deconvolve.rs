@@ -27,10 +27,10 @@
 //! as at as much more signal. The impulses then stand in the row of the smaller `lit` alone, so that nothing counts
 //! twice.
 //!
-//! With `predictions` (of `predict`), impulses start where a solution predicts them, with its times and widths as priors,
-//! and stay in the fit even where they show no light. `own_time_ps` and `impulse_cov` are those of the profile alone, so
-//! that a prediction never counts as a measurement; only the two points in the place of a wide impulse keep what the
-//! predictions of their neighbours say.
+//! With `predictions` (of `predict`), impulses start where a solution predicts them, with its times and widths as
+//! priors, and stay in the fit even where they show no light. `own_time_ps` and `impulse_cov` are those of the profile
+//! alone, so that a prediction never counts as a measurement; only the two points in the place of a wide impulse keep
+//! what the predictions of their neighbours say.
 //!
 //! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
 //! amplitudes are counts a bin.
@@ -40,12 +40,12 @@
 //! for it, a response of another width than the calibration's (`response_width`). Both are kept where the profile is
 //! the likelier for it, and their errors are in the covariance.
 //!
-//! Takes `profiles` and `calibration`; optional `session` and `predictions`; writes `stir`. With `session` (of `track`), drift and pick-up are taken off; the
-//! drift's error joins `jitter_ps`, the pick-up's the noise. The noise of each sample is the profile's `se_v`. Its
-//! autocorrelation is `noise_acf`, smoothed to that of an autoregressive process of the order that `noise_samples`
-//! support. `wiener` assumes equal noise along the record. Set `correlated = false` where the response fits far worse
-//! than the noise (`chi2_dof` well above 1) and a single shot gives the noise: else each record weighs the misfit
-//! differently, and times are not comparable.
+//! Takes `profiles` and `calibration`; optional `session` and `predictions`; writes `stir`. With `session` (of
+//! `track`), drift and pick-up are taken off; the drift's error joins `jitter_ps`, the pick-up's the noise. The noise
+//! of each sample is the profile's `se_v`. Its autocorrelation is `noise_acf`, smoothed to that of an autoregressive
+//! process of the order that `noise_samples` support. `wiener` assumes equal noise along the record. Set `correlated =
+//! false` where the response fits far worse than the noise (`chi2_dof` well above 1) and a single shot gives the noise:
+//! else each record weighs the misfit differently, and times are not comparable.
 //!
 //! Not modelled: light that wraps around the end of a record (`average` cuts circular profiles open where they are
 //! quiet); counts explained jointly; the delay between two vertical ranges in a jointly explained pair.

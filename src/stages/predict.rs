@@ -4,9 +4,9 @@
 //! and by how wide their patches make it, both of which other profiles tell. What is left shows patches that were not
 //! found.
 //!
-//! The paths of a profile are those that `labels` has for its two patches, of any sensor and either way round, and third
-//! bounces over each hidden patch, whether they were seen or not. `width_ps` is what `footprints` make of the light. Where no patch is
-//! hidden, nothing is written: light of visible patches alone comes well apart.
+//! The paths of a profile are those that `labels` has for its two patches, of any sensor and either way round, and
+//! third bounces over each hidden patch, whether they were seen or not. `width_ps` is what `footprints` make of the
+//! light. Where no patch is hidden, nothing is written: light of visible patches alone comes well apart.
 //!
 //! Takes `patches` (of `refine`) and `labels`; optional `covariances`, `delays` and `footprints` of the same `refine`.
 //! Writes `predictions`. Only the likeliest places count, not their alternatives.
