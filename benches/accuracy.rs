@@ -9,8 +9,9 @@
 //! whose sizes nobody gives; `-- locate 20 2000` for small things behind a relay wall (`-- locate 100 5000 14 15`:
 //! cells 14 and 15 of the table alone); `-- claims 200 3000` for instruments that are not kind, 200 records a cell
 //! (docs/error-bars.md; `-- claims 200 3000 7 8`: cells 7 and 8 alone); `-- drift 40 1000` for delays that drift
-//! through a day without fiducials (`-- drift 40 1000 2 3`: cells 2 and 3 alone); `-- twins 300` for tables b, d,
-//! e and f of docs/time-resolution.md through `run`.
+//! through a day without fiducials (`-- drift 40 1000 2 3`: cells 2 and 3 alone); `-- ranks 40 1000` for ranks of true
+//! positions in what `run` states, over instruments and rooms at random (`-- ranks 40 1000 2`: cell 2 alone);
+//! `-- twins 300` for tables b, d, e and f of docs/time-resolution.md through `run`.
 
 #[path = "../tests/it/claims.rs"]
 mod claims;
@@ -31,6 +32,11 @@ mod locate;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/missed.rs"]
 mod missed;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/ranks.rs"]
+mod ranks;
+#[path = "accuracy/ranks.rs"]
+mod ranks_table;
 #[path = "../tests/it/reading_scene.rs"]
 mod reading_scene;
 #[allow(dead_code, reason = "the tests use more of it")]
@@ -90,6 +96,10 @@ fn main() {
     if std::env::args().any(|arg| arg == "drift") {
         let first = numbers.get(1).copied().unwrap_or(1000);
         return instruments::print_drift(first..first + seeds, &cells);
+    }
+    if std::env::args().any(|arg| arg == "ranks") {
+        let first = numbers.get(1).copied().unwrap_or(1000);
+        return ranks_table::print_ranks(&(first..first + seeds), &cells);
     }
     if std::env::args().any(|arg| arg == "locate") {
         let first = numbers.get(1).copied().unwrap_or(1000);

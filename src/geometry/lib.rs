@@ -130,6 +130,7 @@ pub mod placement;
 pub mod planes;
 pub mod procrustes;
 pub mod reestimate;
+pub mod repeats;
 #[cfg(test)]
 #[expect(dead_code, reason = "the studies use more of it")]
 mod room;

@@ -52,6 +52,9 @@ pub const PROFILES_MAX: usize = 256;
 /// this one is less at first, and is corrected before it could be taken for light.
 const LEAST_SHARES: [f64; 4] = [1e-2, 1e-3, 0.0, 0.0];
 
+/// Most pulses of a profile: more are rather what a wrong response leaves than light.
+const PULSES_MAX: usize = 12;
+
 /// Share of the maximum below which a corrected response ends.
 const NEGLIGIBLE: f64 = 1e-4;
 
@@ -94,7 +97,7 @@ pub struct State {
 
 impl Stage for Recalibrate {
     const KIND: &'static str = "recalibrate";
-    const VERSION: u32 = 2;
+    const VERSION: u32 = 3;
     const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -177,6 +180,7 @@ impl Recalibrate {
     ) -> Option<OwnResponse> {
         let options = SparseOptions {
             extent_max_ps: self.extent_max_ps.get(),
+            pulses_max: PULSES_MAX,
             cancel: context.cancel.clone(),
             ..SparseOptions::default()
         };
@@ -208,7 +212,8 @@ fn ready<'a>(
     Some((profile, flight))
 }
 
-/// The row with another response. Its arrival stays where it was: no profile shows it, the latency does.
+/// The row with another response. Its arrival stays where it was, since no profile shows it: it is known to half of what
+/// the response became wider or narrower.
 fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response, own: &OwnResponse) -> Calibration {
     let (first_ps, last_ps) = response.support_ps();
     let (first, last) = ((first_ps / row.step_ps).floor(), (last_ps / row.step_ps).ceil());
@@ -220,6 +225,7 @@ fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response
     Calibration {
         response_t0_ps: first * row.step_ps,
         response: values.collect(),
+        latency_sd_ps: row.latency_sd_ps.hypot(0.5 * (response.width_ps() - row.width_ps)),
         width_ps: response.width_ps(),
         width_sd_ps: Some(response.width_ps() * sd),
         scene_width: Some(width),

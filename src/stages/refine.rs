@@ -93,6 +93,7 @@ use crate::geometry::drift::Evidence;
 use crate::geometry::footprint::Footprints;
 use crate::geometry::loss::Loss;
 use crate::geometry::maximum_likelihood::{self, Observation, Problem, Solution, Unsolved};
+use crate::geometry::repeats::Repeats;
 use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::footprints::{self, Extent};
 use crate::tables::{
@@ -131,7 +132,7 @@ impl Default for Refine {
 
 impl Stage for Refine {
     const KIND: &'static str = "refine";
-    const VERSION: u32 = 18;
+    const VERSION: u32 = 19;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "patches", table: "patches", required: false },
@@ -188,22 +189,23 @@ impl Apply for Refine {
         if !footprints.is_empty() || pulls.iter().any(|pull| pull.sd_m > 0.0) {
             shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
         }
-        if let Some(drift) = self.drift(&model, &problem, &solution, footprint_errors(&footprints)) {
-            (problem.observations, problem.loss) = (drifting(&drift, &labels, measured), self.loss());
-            model.drift = Some(drift);
+        let larger = self.larger_errors(&mut model, &problem, &solution, footprint_errors(&footprints), measured);
+        let scatter = larger.as_ref().map_or(1.0, |(_, scatter)| *scatter);
+        if let Some((observations, _)) = larger {
+            (problem.observations, problem.loss) = (observations, self.loss());
             shifts_m = self.solve_shifted(&model, &mut problem, &mut solution, &footprints)?;
-        }
-        if let Some(refusal) = refusal.filter(|_| model.drift.is_none()) {
+        } else if let Some(refusal) = refusal {
             return Err(refusal);
         }
         let mut observations = problem.observations.clone();
         let (used, with_all) = self.leave_out(&model, &mut problem, &mut solution, &start)?;
-        let mut widened = [1.0; ONSET_KINDS.len()];
+        let mut widened = [scatter; ONSET_KINDS.len()];
         if self.robust {
-            widened = self.weigh(&model, &used, &mut problem, &mut solution)?;
+            let more = self.weigh(&model, &used, &mut problem, &mut solution)?;
             for (observation, label) in observations.iter_mut().zip(&labels) {
-                observation.sd_m *= widened[weights::kind(label)].sqrt();
+                observation.sd_m *= more[weights::kind(label)].sqrt();
             }
+            widened = more.map(|more| scatter * more);
         }
         let contested = with_all.map(|points| doubtful::contested(&solution, &points, &context.cancel));
         let contested = contested.unwrap_or_default();
@@ -258,10 +260,33 @@ impl Refine {
         solution.map_err(|unsolved| StageError::Refused(model.refused(&unsolved)))
     }
 
+    /// The onsets with larger errors, where residuals are larger than chance makes them and a drift explains them, or
+    /// onsets of one path in both directions differ that much; with the factor on all variances. Their errors in common
+    /// have the numbers from `first` on.
+    fn larger_errors(
+        &self,
+        model: &mut Model,
+        problem: &Problem,
+        solution: &Solution,
+        first: usize,
+        measured: Vec<Observation>,
+    ) -> Option<(Vec<Observation>, f64)> {
+        if !solution.exceeds_chance() {
+            return None;
+        }
+        if let Some(drift) = self.drift(model, problem, solution, first) {
+            let observations = drifting(&drift, model.labels, measured);
+            model.drift = Some(drift);
+            return Some((observations, 1.0));
+        }
+        let factor = Repeats::of(&problem.observations).scatter().filter(|_| self.robust)?;
+        Some((scattered(measured, factor, first), factor))
+    }
+
     /// Walks of the delays, where residuals are larger than chance makes them and the onsets make these likelier; their
     /// errors in common have the numbers from `first` on.
     fn drift(&self, model: &Model, problem: &Problem, solution: &Solution, first: usize) -> Option<Drift> {
-        let mut drift = Drift::new(model, solution, problem, first).filter(|_| solution.exceeds_chance())?;
+        let mut drift = Drift::new(model, solution, problem, first)?;
         for _ in 0..ROUNDS {
             let observations = drifting(&drift, model.labels, problem.observations.clone());
             let (start, loss) = (solution.points.clone(), self.loss());
@@ -363,6 +388,19 @@ impl Refine {
 /// Onsets with the walks of their sensors' delays.
 fn drifting(drift: &Drift, labels: &[Label], mut observations: Vec<Observation>) -> Vec<Observation> {
     labels.iter().zip(&mut observations).for_each(|(label, observation)| drift.add_to(label, observation));
+    observations
+}
+
+/// Onsets whose variances are larger by a factor. What makes captures scatter made those of the calibration scatter too,
+/// so that all share one more error of this size, with the number `error`.
+fn scattered(mut observations: Vec<Observation>, factor: f64, error: usize) -> Vec<Observation> {
+    let mut variances_m2: Vec<f64> = observations.iter().map(|observation| observation.sd_m.powi(2)).collect();
+    variances_m2.sort_by(f64::total_cmp);
+    let shared_m = ((factor - 1.0) * variances_m2[variances_m2.len() / 2]).sqrt();
+    for observation in &mut observations {
+        observation.sd_m *= factor.sqrt();
+        observation.common.push((error, shared_m));
+    }
     observations
 }
 

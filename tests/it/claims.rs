@@ -135,7 +135,7 @@ impl Instrument {
 }
 
 /// Lines that add up to 1/f noise whose density is that of white noise at `corner_ghz`.
-fn flicker(corner_ghz: f64) -> Vec<(f64, f64)> {
+pub fn flicker(corner_ghz: f64) -> Vec<(f64, f64)> {
     const LINES: i32 = 160;
     // From a twentieth of a turn in a record to the highest that samples show.
     let (first, last) = (0.05 / (SAMPLES as f64 * DT_PS * 1e-3), 0.5e3 / DT_PS);

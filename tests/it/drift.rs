@@ -81,7 +81,7 @@ fn measured(lab: &Lab) -> Outcome {
     Outcome { squares_m2, stated_m2, patches: pairs.len(), inside, fit }
 }
 
-fn covariance_m2(patch: &Patch) -> Option<Matrix3<f64>> {
+pub fn covariance_m2(patch: &Patch) -> Option<Matrix3<f64>> {
     let [xx, xy, xz] = [patch.cov_xx_m2?, patch.cov_xy_m2?, patch.cov_xz_m2?];
     let [yy, yz, zz] = [patch.cov_yy_m2?, patch.cov_yz_m2?, patch.cov_zz_m2?];
     Some(Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz))

@@ -97,7 +97,7 @@ fn pipeline(lab: &Lab) -> String {
     let text = Definition::parse("scene", text).unwrap().to_toml();
     let from = text.find("[anchors]").expect("anchors come before labels");
     // Onsets that are given have no latency.
-    let solved = one_look(&text[from..]).replace(", calibration = \"calibration\"", "");
+    let solved = one_look(&text[from..]).replace(", calibration = \"scene_calibration\"", "");
     let path = lab.path("onsets.parquet");
     format!("[onsets]\nstage = 'import'\nparams = {{ table = 'onsets', path = '{}' }}\n{solved}", path.display())
 }

@@ -54,6 +54,7 @@ mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
+mod ranks;
 mod reading_scene;
 mod readings;
 mod real_files;

@@ -154,7 +154,7 @@ fn pipeline(onsets: &std::path::Path) -> String {
     format!(
         "[onsets]\nstage = 'import'\nparams = {{ table = 'onsets', path = '{}' }}\n{}",
         onsets.display(),
-        one_look(from_labels).replace(", calibration = \"calibration\"", "")
+        one_look(from_labels).replace(", calibration = \"scene_calibration\"", "")
     )
 }
 

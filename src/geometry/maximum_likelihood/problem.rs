@@ -8,7 +8,7 @@ use crate::Point;
 use crate::loss::Loss;
 
 /// A point of a path, by its position among the stations or the patches.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Node {
     /// A station.
     Station(usize),

@@ -38,8 +38,9 @@ const TAIL_SD: f64 = 0.02;
 /// shape.
 const LEAST_GAIN: f64 = 7.0;
 const LEAST_MORE: f64 = 3.0;
-/// Fewer records of equal weight are not many.
+/// Fewer records of equal weight are not many, nor are fewer that know the size of a correction to a quarter.
 const RECORDS_MIN: f64 = 6.0;
+const TELLING: f64 = 16.0;
 /// The sizes of the correction in the records may have this standard deviation, over its own size.
 const SPREAD_MAX: f64 = 0.35;
 /// Standard deviations of chi2 that a spread must exceed.
@@ -237,7 +238,8 @@ impl ResponseScore {
 fn spread(sizes: &[(f64, f64)]) -> Option<[f64; 2]> {
     let sum = |of: &dyn Fn(&(f64, f64)) -> f64| sizes.iter().map(of).sum::<f64>();
     let (weights, squared) = (sum(&|(_, w)| *w), sum(&|(_, w)| w * w));
-    if weights * weights < RECORDS_MIN * squared || sizes.is_empty() {
+    let telling = sizes.iter().filter(|(_, weight)| *weight > TELLING).count() as f64;
+    if sizes.is_empty() || (weights * weights / squared).max(telling) < RECORDS_MIN {
         return None;
     }
     let mean = sum(&|(size, w)| w * size) / weights;

@@ -10,13 +10,14 @@ use std::ops::Range;
 use super::model::Model;
 use crate::geometry::drift::{TERMS, terms, variance_left};
 use crate::geometry::maximum_likelihood::{Observation, Problem, Solution};
+use crate::geometry::repeats::Repeats;
 use crate::priors::acquisition_time;
 use crate::priors::campaign_fields::Medium;
 use crate::priors::sensor_range::SensorRange;
 use crate::tables::{Label, Name};
 
-/// A size to begin with, in errors of a single onset, as far as residuals are larger than these: too large rather than
-/// too small.
+/// A size to begin with where no path was measured twice, in errors of a single onset, as far as residuals are larger
+/// than these: too large rather than too small.
 const FIRST_SIZE: f64 = 3.0;
 
 /// Walks of the delays of all sensors whose captures have times.
@@ -78,7 +79,10 @@ impl Drift {
         let weight: f64 = problem.observations.iter().map(|observation| observation.sd_m.powi(-2)).sum();
         let sd_m = (problem.observations.len() as f64 / weight).sqrt();
         let factor = solution.loss / solution.degrees_of_freedom.max(1) as f64;
-        Some(Self { walks, first, span_s, size_m: FIRST_SIZE * sd_m * factor.max(1.0).sqrt(), gain: 0.0 })
+        let times: Vec<Option<f64>> = model.labels.iter().map(|label| time_s(label.acquired_at.as_ref())).collect();
+        let walked_m = Repeats::of(&problem.observations).walk_m2(&times).map(|rate_m2_s| (rate_m2_s * span_s).sqrt());
+        let size_m = walked_m.unwrap_or_else(|| FIRST_SIZE * sd_m * factor.max(1.0).sqrt());
+        Some(Self { walks, first, span_s, size_m, gain: 0.0 })
     }
 
     /// Numbers of the errors.
