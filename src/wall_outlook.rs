@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{Kind, SurfacePoint, wall_normal};
+use crate::geometry::first_return::{Kind, Lit, SurfacePoint, wall_normal};
 use crate::geometry::height_field::height_fields;
 use crate::geometry::shapes::Sighting;
 use crate::priors::campaign_fields::Medium;
@@ -73,7 +73,7 @@ impl WallOutlook {
         let medium = Medium { group_index: 1.0 };
         let hidden_side = Point::new(0.0, 0.0, 1.0);
         let inwards = wall_normal(&wall.places(), &hidden_side).expect("the points of a wall span a plane");
-        let timing = Timing { lit: None, inwards, medium, rises: &rises, threshold_sigma };
+        let timing = Timing { lit: &Lit::Same, inwards, medium, rises: &rises, threshold_sigma };
         let points = timing.points(&bins, cancel);
         let sighting = |(n, point): &(usize, SurfacePoint)| Sighting {
             seen: bins[*n].0,

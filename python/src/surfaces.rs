@@ -3,7 +3,7 @@
 use numpy::{PyArray1, PyArray2, PyArray3};
 use periscope::cancel::Cancel;
 use periscope::geometry::Point;
-use periscope::geometry::first_return::{self, Face, Kind, Place, Return, Scan, wall_normal};
+use periscope::geometry::first_return::{self, Face, Kind, Lit, Place, Return, Scan, wall_normal};
 use periscope::geometry::height_field::{self, height_fields};
 use periscope::geometry::shapes::{self, Sighting};
 use periscope::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Noise, Rises, STEP, Window};
@@ -292,7 +292,8 @@ pub fn surface_points(
     };
     let places =
         timed.records.iter().map(|one| Place { seen: wall[one.place], returns: one.returns.each_ref().map(returned) });
-    let scan = Scan { lit, inwards, sigma_m: path_m(timed.rises.sigma_ps(), index), places: places.collect() };
+    let sigma_m = path_m(timed.rises.sigma_ps(), index);
+    let scan = Scan { lit: lit.map_or(Lit::Same, Lit::One), inwards, sigma_m, places: places.collect() };
     let result = interruptible(py, |cancel| {
         let window = |one| Record::window(one, timed);
         let windows: Vec<Option<Window<'_>>> = timed.records.iter().map(window).collect();

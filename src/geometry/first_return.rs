@@ -4,11 +4,13 @@
 //! is the unit vector from `x` to `p`, so that value and gradient give `x = p - d grad d`; on a smooth surface the
 //! gradient is the normal too. Where the lit point is fixed, the same holds for the length of the way from there over
 //! the surface to the seen point. Neighbouring points of the wall tell value, gradient and curvature: a field is
-//! fitted to them, which is exact for planes, spheres, cylinders, straight edges and corners.
+//! fitted to them, which is exact for planes, spheres, cylinders, straight edges and corners. Where lit and seen point
+//! move together apart, value and gradient of the way's length give the point too (`way`), and fields are local fits.
 //!
 //! | module | does |
 //! |---|---|
 //! | `local` | what fields have in common: how they are fitted to lengths, and how sure they are |
+//! | `way` | how light goes to a place, and the point that value and gradient show |
 //! | `field` | a bent field: value, direction, curvature |
 //! | `flat` | the field of flat faces that end: a rectangle, or a block |
 //! | `windows` | which neighbours a field is fitted to, and which field a place shares with others |
@@ -32,8 +34,8 @@
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
 //! CVPR 2019. Windows by agreement: Lepski, Theory Probab. Appl. 35:454, 1990.
 //!
-//! Not modelled: pairs of lit and seen point that move together apart, errors of the wall's places, later returns, flat
-//! faces where the lit point is fixed.
+//! Not modelled: errors of the wall's places, later returns, flat faces where the lit point is not the seen point, and
+//! the wall's relief in how the lengths of pairs that move together change across the wall.
 
 mod choice;
 mod dispersion;
@@ -41,6 +43,7 @@ mod field;
 mod flat;
 mod laws;
 mod local;
+mod way;
 mod windows;
 
 #[cfg(test)]
@@ -52,14 +55,13 @@ use rayon::prelude::*;
 
 use super::Point;
 use super::axes::Scatter;
-use super::neighbours::neighbours;
 use choice::Choice;
 use dispersion::Dispersion;
 use field::Field;
 pub use field::Kind;
 use flat::{Flat, Hint};
 use local::{Local, Sample};
-use windows::{Chosen, Reading};
+use windows::{Chosen, Reading, Wall};
 
 /// Least number of places of the wall.
 pub const LEAST: usize = 16;
@@ -96,18 +98,30 @@ pub struct Face {
 /// A point of the wall, with its first return as a step, an edge and a corner make it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Place {
-    /// The seen point.
+    /// The seen point; where a lit point moves with it, the place midway.
     pub seen: Point,
     /// The first return. Its lengths are there and back where the lit point is the seen point, else from the lit point
     /// over the surface to the seen point.
     pub returns: [Return; 3],
 }
 
+/// Which points of a wall are lit.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Lit {
+    /// Each seen point itself.
+    Same,
+    /// One for all seen points.
+    One(Point),
+    /// One apart for each seen point, and both move together over the wall: the way from the place midway to the seen
+    /// point, by place. Neighbours' ways are a linear function of their places, or places have no point.
+    Apart(Vec<Vector3<f64>>),
+}
+
 /// First returns of a wall.
 #[derive(Clone, Debug)]
 pub struct Scan {
-    /// The lit point; `None` where each seen point is lit itself.
-    pub lit: Option<Point>,
+    /// The lit points.
+    pub lit: Lit,
     /// Unit normal of the wall, towards what is hidden.
     pub inwards: Vector3<f64>,
     /// Standard deviation of the response, as length of a way.
@@ -119,7 +133,7 @@ pub struct Scan {
 /// First light at a place under the law that its surface sets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FirstLight {
-    /// Length: half of its way there and back, or its way from the lit point over the surface.
+    /// Length: its way from a lit point that is one for all, else half of its way.
     pub length_m: f64,
     /// Standard deviation of its noise.
     pub sd_m: f64,
@@ -161,7 +175,7 @@ pub struct SurfacePoint {
 /// faces, near a length.
 ///
 /// # Panics
-/// If a standard deviation is not positive, or `sigma_m` is not.
+/// If a standard deviation is not positive, or `sigma_m` is not, or pairs are not as many as places.
 #[must_use]
 pub fn surface_points(
     scan: &Scan,
@@ -169,6 +183,9 @@ pub fn surface_points(
     cancel: &Cancel,
 ) -> Vec<SurfacePoint> {
     assert!(scan.sigma_m > 0.0, "a response of some width");
+    if let Lit::Apart(halves) = &scan.lit {
+        assert_eq!(halves.len(), scan.places.len(), "each place has a pair");
+    }
     assert!(
         scan.places.iter().flat_map(|place| &place.returns).all(|one| one.sd_m > 0.0),
         "first returns have standard deviations"
@@ -178,7 +195,7 @@ pub fn surface_points(
     }
     let mut rounds = Rounds::new(scan, cancel);
     // The law of flat faces is that of a point that is lit and seen.
-    if scan.lit.is_none() {
+    if matches!(scan.lit, Lit::Same) {
         for round in 0..=ROUNDS {
             if round > 0 {
                 rounds.time_again(&timed);
@@ -189,7 +206,7 @@ pub fn surface_points(
     let of_place = |place: usize| {
         let choice = rounds.choice(place);
         let mut point = choice.surface_point(scan, place)?;
-        choice.add_slides(scan, &mut point);
+        choice.add_slides(&mut point);
         Some(point)
     };
     (0..scan.places.len()).into_par_iter().filter_map(of_place).collect()
@@ -198,8 +215,7 @@ pub fn surface_points(
 /// What is known of each place, and what a round hands on to the next.
 struct Rounds<'a> {
     scan: &'a Scan,
-    /// The nearest places of each.
-    near: Vec<Vec<u32>>,
+    wall: Wall,
     /// Lengths under the laws that likelihood and curvature show, and bent fields of them.
     first: Vec<Sample>,
     fields: Vec<Option<Chosen<Field>>>,
@@ -211,18 +227,17 @@ struct Rounds<'a> {
 
 impl<'a> Rounds<'a> {
     fn new(scan: &'a Scan, cancel: &Cancel) -> Self {
-        let points: Vec<Point> = scan.places.iter().map(|place| place.seen).collect();
-        let near = neighbours(&points, windows::MOST, cancel);
-        let likely = laws::by_likelihood(scan, &near);
+        let wall = Wall::new(scan, cancel);
+        let likely = laws::by_likelihood(scan, &wall.near);
         let fields =
-            windows::fields(scan, &laws::samples(scan, &likely), &near, &windows::SIZES[..windows::FEW], cancel);
-        let shares = laws::by_curvature(scan, &near, &likely, &fields);
+            windows::fields(scan, &laws::samples(scan, &likely), &wall, &windows::SIZES[..windows::FEW], cancel);
+        let shares = laws::by_curvature(&wall.near, &likely, &fields);
         let first = laws::samples(scan, &shares);
-        let fields = windows::fields(scan, &first, &near, &windows::SIZES, cancel);
+        let fields = windows::fields(scan, &first, &wall, &windows::SIZES, cancel);
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
         let flats = fields.iter().map(|_| None).collect();
-        Self { scan, near, first, fields, samples, faces: Vec::new(), flats }
+        Self { scan, wall, first, fields, samples, faces: Vec::new(), flats }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
@@ -238,15 +253,15 @@ impl<'a> Rounds<'a> {
     fn find_faces(&mut self, cancel: &Cancel) {
         let hints: Vec<Option<Hint>> = self.points().iter().map(|point| point.as_ref().map(Hint::new)).collect();
         let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
-        self.faces = windows::flats(self.scan, &self.samples, &self.near, (&hints, &bent), cancel);
-        self.flats = windows::shared(&self.faces, &self.samples, &self.near);
+        self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
+        self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
     }
 
     /// Standard deviation of the error of the faces' law, as residuals of all faces show it.
     fn law_m(&self) -> f64 {
         let shown = |face: &Chosen<Flat>| {
             let zone_m = self.scan.zone_m(face.field.length_m(&face.field.at()));
-            Dispersion::of(&face.field, &self.samples, &face.members, &self.near, zone_m)
+            Dispersion::of(&face.field, &self.samples, &face.members, &self.wall.near, zone_m)
         };
         let shown: Vec<Option<Dispersion>> = self.faces.par_iter().flatten().map(shown).collect();
         let shown = shown.into_iter().flatten().fold(Dispersion::default(), Dispersion::and);
@@ -259,7 +274,7 @@ impl<'a> Rounds<'a> {
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
         let again = |place: usize| laws::again(self.scan, place, &choices[place], law_m, timed);
         let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
-        self.samples = laws::mixed(self.scan, &self.near, &self.first, &choices, &again);
+        self.samples = laws::mixed(self.scan, &self.wall.near, &self.first, &choices, &again);
     }
 }
 
@@ -274,7 +289,7 @@ pub fn wall_normal(points: &[Point], front: &Point) -> Option<Vector3<f64>> {
 impl Scan {
     /// Share of a way's length that is the field's: half of a way there and back.
     fn share(&self) -> f64 {
-        if self.lit.is_some() { 1.0 } else { 0.5 }
+        if matches!(self.lit, Lit::One(_)) { 1.0 } else { 0.5 }
     }
 
     /// Radius of the part of the surface that returns light within the response's width, at a distance.

@@ -5,57 +5,87 @@ use rayon::prelude::*;
 
 use super::Point;
 
+/// Points of a cell in the mean.
+const IN_CELL: f64 = 8.0;
+
 /// The nearest points of each, itself first.
 pub fn neighbours(points: &[Point], most: usize, cancel: &Cancel) -> Vec<Vec<u32>> {
-    // Along the longest axis, neighbours lie within a run.
-    let axis = (0..3).max_by(|a, b| extent(points, *a).total_cmp(&extent(points, *b))).unwrap_or(0);
-    let mut order: Vec<u32> = (0..points.len() as u32).collect();
-    order.sort_by(|a, b| points[*a as usize][axis].total_cmp(&points[*b as usize][axis]).then(a.cmp(b)));
-    let nearer = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-    let of_run = |run: usize| {
-        let here = points[order[run] as usize];
-        let mut list: Vec<(f64, u32)> = Vec::with_capacity(2 * most + 2);
-        let mut reach_m2 = f64::INFINITY;
-        let [mut before, mut after] = [run.checked_sub(1), Some(run)];
-        while before.is_some() || after.is_some() {
-            for (next, step) in [(&mut before, usize::MAX), (&mut after, 1)] {
-                let Some(other) = next.and_then(|n| order.get(n)) else {
-                    *next = None;
-                    continue;
-                };
-                let apart = points[*other as usize] - here;
-                let is_within = apart[axis] * apart[axis] <= reach_m2;
-                if apart.norm_squared() <= reach_m2 {
-                    list.push((apart.norm_squared(), *other));
-                }
-                // The end of the order ends a side too: `usize::MAX` more is one less.
-                *next = next.filter(|n| is_within && (*n > 0 || step == 1)).map(|n| n.wrapping_add(step));
-            }
-            if list.len() > 2 * most {
-                list.select_nth_unstable_by(most - 1, nearer);
-                list.truncate(most);
-                reach_m2 = list[most - 1].0;
-            }
-        }
-        list.sort_unstable_by(nearer);
-        list.truncate(most);
-        list.into_iter().map(|one| one.1).collect::<Vec<u32>>()
-    };
-    let mut all = vec![Vec::new(); points.len()];
-    let runs = (0..points.len()).into_par_iter().map(|run| {
-        cancel.check();
-        of_run(run)
-    });
-    for (run, list) in runs.collect::<Vec<_>>().into_iter().enumerate() {
-        all[order[run] as usize] = list;
-    }
-    all
+    Cells::new(points.to_vec()).all_nearest(most, cancel)
 }
 
-fn extent(points: &[Point], axis: usize) -> f64 {
-    let ends = points
-        .iter()
-        .map(|point| point[axis])
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], x| [least.min(x), most.max(x)]);
-    ends[1] - ends[0]
+/// Points in square cells across the axis along which they reach least far.
+pub struct Cells {
+    points: Vec<Point>,
+    axes: [usize; 2],
+    least_m: [f64; 2],
+    side_m: f64,
+    counts: [usize; 2],
+    members: Vec<Vec<u32>>,
+}
+
+impl Cells {
+    pub fn new(points: Vec<Point>) -> Self {
+        let mut axes = [0, 1, 2].map(|axis| (axis, ends(&points, axis)));
+        axes.sort_by(|(_, a), (_, b)| (b[1] - b[0]).total_cmp(&(a[1] - a[0])));
+        let [[left, right], [low, high]] = [axes[0].1, axes[1].1];
+        let share = IN_CELL / points.len().max(1) as f64;
+        let side_m = ((right - left) * (high - low) * share).sqrt().max((right - left) * share).max(f64::MIN_POSITIVE);
+        let counts = [right - left, high - low].map(|extent_m| (extent_m / side_m) as usize + 1);
+        let members = vec![Vec::new(); counts[0] * counts[1]];
+        let mut all = Self { points, axes: [axes[0].0, axes[1].0], least_m: [left, low], side_m, counts, members };
+        for n in 0..all.points.len() {
+            let [column, row] = all.cell(&all.points[n]);
+            all.members[row * counts[0] + column].push(n as u32);
+        }
+        all
+    }
+
+    fn cell(&self, point: &Point) -> [usize; 2] {
+        [0, 1].map(|k| (((point[self.axes[k]] - self.least_m[k]) / self.side_m) as usize).min(self.counts[k] - 1))
+    }
+
+    /// The nearest points of each.
+    pub fn all_nearest(&self, most: usize, cancel: &Cancel) -> Vec<Vec<u32>> {
+        let of_point = |n: usize| {
+            cancel.check();
+            self.nearest(n, most)
+        };
+        (0..self.points.len()).into_par_iter().map(of_point).collect()
+    }
+
+    /// The nearest points of one, itself first; of some that are equally near those with smaller numbers.
+    pub fn nearest(&self, n: usize, most: usize) -> Vec<u32> {
+        let here = self.points[n];
+        let [column, row] = self.cell(&here);
+        let mut list: Vec<(f64, u32)> = Vec::with_capacity(2 * most);
+        let rings = self.counts[0].max(self.counts[1]);
+        for ring in 0..rings {
+            let rows = row.saturating_sub(ring)..(row + ring + 1).min(self.counts[1]);
+            for at in rows {
+                let is_end = at.abs_diff(row) == ring;
+                let columns = column.saturating_sub(ring)..(column + ring + 1).min(self.counts[0]);
+                for cell in columns.filter(|other| is_end || other.abs_diff(column) == ring) {
+                    let gap_m2 = |other: &u32| ((self.points[*other as usize] - here).norm_squared(), *other);
+                    list.extend(self.members[at * self.counts[0] + cell].iter().map(gap_m2));
+                }
+            }
+            // All points that are so near lie in these rings.
+            let reach_m2 = (ring as f64 * self.side_m).powi(2);
+            if list.len() >= most && list.iter().filter(|one| one.0 < reach_m2).count() >= most {
+                break;
+            }
+        }
+        let nearer = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
+        if list.len() > most {
+            list.select_nth_unstable_by(most, nearer);
+            list.truncate(most);
+        }
+        list.sort_unstable_by(nearer);
+        list.into_iter().map(|one| one.1).collect()
+    }
+}
+
+fn ends(points: &[Point], axis: usize) -> [f64; 2] {
+    let ends = |[least, most]: [f64; 2], point: &Point| [least.min(point[axis]), most.max(point[axis])];
+    if points.is_empty() { [0.0; 2] } else { points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], ends) }
 }

@@ -162,6 +162,8 @@ pub struct Window<'a> {
     start_ps: f64,
     /// Least background.
     least: f64,
+    /// Unknowns that fits with a given time start from, where another law or window has had a fit.
+    start: Option<Unknowns>,
 }
 
 /// First return, background, height, slope.
@@ -182,11 +184,12 @@ impl<'a> Window<'a> {
         let step = rises.law(&[Face::quarter(STEP)]);
         let mut window = Self::new(bins, rises, background, start_ps)?;
         for _ in 0..TURNS {
-            let first = window.fit(&step, None)?;
-            if (first.time_ps - window.start_ps).abs() < bins.dt_ps {
+            let unknowns = window.fit(&step, None)?.unknowns;
+            window.start = Some(unknowns);
+            if (unknowns[0] - window.start_ps).abs() < bins.dt_ps {
                 break;
             }
-            window = Self::new(bins, rises, background, first.time_ps)?;
+            window = Self { start: Some(unknowns), ..Self::new(bins, rises, background, unknowns[0])? };
         }
         Some(window)
     }
@@ -194,7 +197,7 @@ impl<'a> Window<'a> {
     /// The likeliest first return of such a surface; `None` where the bins do not determine it.
     #[must_use]
     pub fn first_return(&self, faces: &[Face]) -> Option<FirstReturn> {
-        self.fit(&self.rises.law(faces), None)
+        self.timed(&self.rises.law(faces), None)
     }
 
     /// One step of Fisher scoring from a time that others tell, all else being fitted there: less biased than the
@@ -204,8 +207,8 @@ impl<'a> Window<'a> {
     pub fn first_return_near(&self, faces: &[Face], time_ps: f64) -> Option<FirstReturn> {
         let law = self.rises.law(faces);
         let near = Self::new(&self.all, self.rises, self.background, time_ps)
-            .and_then(|window| window.fit(&law, Some(time_ps)));
-        near.filter(|near| (near.time_ps - time_ps).abs() < self.rises.sigma_ps()).or_else(|| self.fit(&law, None))
+            .and_then(|window| Self { start: self.start, ..window }.timed(&law, Some(time_ps)));
+        near.filter(|near| (near.time_ps - time_ps).abs() < self.rises.sigma_ps()).or_else(|| self.timed(&law, None))
     }
 
     fn new(bins: &Bins<'a>, rises: &'a Rises, background: Background, start_ps: f64) -> Option<Self> {
@@ -223,16 +226,13 @@ impl<'a> Window<'a> {
         let at_start = background.at(start_ps);
         let before = (from..to).map(|n| background.at(bins.first_ps + n as f64 * bins.dt_ps) / at_start).collect();
         let bins_here = Bins { first_ps, values: &bins.values[from..to], ..*bins };
-        Some(Self { all: *bins, bins: bins_here, rises, background, before, start_ps, least })
+        Some(Self { all: *bins, bins: bins_here, rises, background, before, start_ps, least, start: None })
     }
 
-    /// Rate of a bin and its slopes by the unknowns.
-    fn rate(&self, law: &Rise, [tau, background, height, slope]: Unknowns, n: usize) -> (f64, Unknowns) {
-        let time_ps = self.bins.first_ps + n as f64 * self.bins.dt_ps - tau;
-        let [value, next, rise, next_rise] = law.at(time_ps);
-        let before = self.before[n];
-        let rate = background * before + height * value + slope * next;
-        (rate, [-(height * rise + slope * next_rise), before, value, next])
+    /// The law in each bin where light begins at a time.
+    fn law_at(&self, law: &Rise, time_ps: f64) -> Vec<[f64; 4]> {
+        let first_ps = self.bins.first_ps - time_ps;
+        (0..self.bins.values.len()).map(|n| law.at(first_ps + n as f64 * self.bins.dt_ps)).collect()
     }
 
     /// Slope over height before there is light.
@@ -240,13 +240,15 @@ impl<'a> Window<'a> {
         -DECLINE * self.rises.sigma_ps() / self.start_ps.max(self.rises.sigma_ps())
     }
 
-    /// Logarithm of the likelihood, its gradient, and Fisher's information, at these unknowns.
-    fn likelihood(&self, law: &Rise, unknowns: Unknowns) -> Likelihood {
+    /// Logarithm of the likelihood, its gradient, and Fisher's information, at these unknowns, with the law by bin.
+    fn likelihood(&self, law: &[[f64; 4]], unknowns: Unknowns) -> Likelihood {
         let mut likelihood = Likelihood { unknowns, logarithm: 0.0, gradient: [0.0; 4], information: [[0.0; 4]; 4] };
         let Likelihood { logarithm, gradient, information, .. } = &mut likelihood;
         let floor = 0.3 / self.bins.values.len() as f64;
-        for (n, value) in self.bins.values.iter().enumerate() {
-            let (rate, slopes) = self.rate(law, unknowns, n);
+        let [_, background, height, slope] = unknowns;
+        for ((value, before), [light, next, rise, next_rise]) in self.bins.values.iter().zip(&self.before).zip(law) {
+            let rate = background * before + height * light + slope * next;
+            let slopes = [-(height * rise + slope * next_rise), *before, *light, *next];
             let weight = match self.bins.noise {
                 Noise::Counts => {
                     let mean = rate.max(1e-9);
@@ -264,7 +266,6 @@ impl<'a> Window<'a> {
                 (0..=a).for_each(|b| information[a][b] += weight * slopes[a] * slopes[b]);
             }
         }
-        let [.., height, slope] = unknowns;
         let precision = (SLOPE_SD * height).powi(-2);
         *logarithm -= 0.5 * ((slope / height - self.slope()) / SLOPE_SD).powi(2);
         information[3][3] += precision;
@@ -284,24 +285,35 @@ impl<'a> Window<'a> {
         [self.start_ps, background, height.max(least) / risen.max(1e-3), 0.0]
     }
 
-    /// The likeliest unknowns; with a time that is given, the likeliest others, and one step of the time.
-    fn fit(&self, law: &Rise, given_ps: Option<f64>) -> Option<FirstReturn> {
-        let mut start = self.start(law);
+    /// The likeliest unknowns; with a time that is given, the likeliest others.
+    fn fit(&self, law: &Rise, given_ps: Option<f64>) -> Option<Likelihood> {
+        // Where the time is free, a start from another law may lead astray.
+        let mut start = given_ps.and(self.start).unwrap_or_else(|| self.start(law));
         start[0] = given_ps.unwrap_or(start[0]);
-        let mut best = self.likelihood(law, start);
+        let mut at = self.law_at(law, start[0]);
+        let mut best = self.likelihood(&at, start);
         for _ in 0..STEPS {
             let mut information = best.information;
             if given_ps.is_some() {
                 information[0][0] = f64::INFINITY;
             }
             let step = solve(&root(information)?, best.gradient);
+            let gain: f64 = step.iter().zip(best.gradient).map(|(step, slope)| 0.5 * step * slope).sum();
+            if gain < DONE {
+                break;
+            }
             let next = (0..HALVINGS).find_map(|halving| {
                 let share = 0.5_f64.powi(halving as i32);
                 let mut next: Unknowns = std::array::from_fn(|a| best.unknowns[a] + share * step[a]);
                 next[1] = next[1].max(self.least);
                 let is_near = (next[0] - self.start_ps).abs() < FARTHEST * self.rises.sigma_ps();
-                let next = (next[2] > 0.0 && is_near).then(|| self.likelihood(law, next))?;
-                (next.logarithm > best.logarithm).then_some(next)
+                if next[2] <= 0.0 || !is_near {
+                    return None;
+                }
+                if given_ps.is_none() {
+                    at = self.law_at(law, next[0]);
+                }
+                Some(self.likelihood(&at, next)).filter(|next| next.logarithm > best.logarithm)
             });
             let Some(next) = next else { break };
             let is_done = next.logarithm - best.logarithm < DONE;
@@ -310,6 +322,12 @@ impl<'a> Window<'a> {
                 break;
             }
         }
+        Some(best)
+    }
+
+    /// The first return of the likeliest unknowns; with a time that is given, one step from it.
+    fn timed(&self, law: &Rise, given_ps: Option<f64>) -> Option<FirstReturn> {
+        let best = self.fit(law, given_ps)?;
         let root = root(best.information)?;
         let variance = solve(&root, [1.0, 0.0, 0.0, 0.0])[0];
         let [time_ps, _, height, _] = best.unknowns;

@@ -14,8 +14,9 @@
 //! points explain the light, or nothing is there, there is no surface to be reported.
 //!
 //! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Confocal captures are
-//! one scan; of the others, each lit point with 16 seen points or more is a scan of its own. Writes `surface_points`.
-//! Captures of other roles than scene, and of patches without a place, are left out.
+//! one scan; of the others, each lit point with 16 seen points or more is a scan of its own, and the rest are pairs
+//! that move together: one scan where each lit point has one seen point, else one for each way from the lit to the seen
+//! point. Writes `surface_points`. Captures of other roles than scene, and of patches without a place, are left out.
 //!
 //! Not modelled: later returns, errors of the wall's places, noise of voltages that is correlated from sample to sample
 //! (it makes standard deviations too small).
@@ -37,7 +38,7 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Rejection, Side,
 use crate::campaign::Campaign;
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{self, Kind, LEAST, wall_normal};
+use crate::geometry::first_return::{self, Kind, LEAST, Lit, wall_normal};
 use crate::parameter::{NonNegative, Positive};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, Medium};
@@ -89,7 +90,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -150,19 +151,21 @@ impl FirstReturns {
         let Some(inwards) = wall_normal(&walls, &fields.stations.source()) else {
             return Err("the points of the wall lie in one line; a surface needs points that span a plane".to_owned());
         };
-        let groups = scans(histograms);
+        let groups = scans(histograms, 0.1 * medium.path_m(rises.sigma_ps()));
         if groups.is_empty() {
             return Err(format!(
-                "a scan needs {LEAST} seen points or more, lit themselves or with one lit point; there is none"
+                "a scan needs {LEAST} seen points or more: lit themselves, with one lit point, or with one lit point \
+                 each that moves with them; there is none"
             ));
         }
-        let of_scan = |(lit, members): (Option<Point>, Vec<&Histogram<'_>>)| {
+        let of_scan = |scan: Group<'_, '_>| {
             let records: Vec<Record<'_, '_>> =
-                members.into_iter().filter_map(|histogram| Record::new(histogram, &times)).collect();
+                scan.members.iter().filter_map(|histogram| Record::new(histogram, &times)).collect();
+            let lit = scan.lit(records.iter().map(|record| record.histogram));
             let bins: Vec<(Point, Bins<'_>)> =
-                records.iter().map(|record| (record.histogram.seen, record.bins())).collect();
+                records.iter().map(|record| (scan.place(record.histogram), record.bins())).collect();
             let threshold_sigma = self.threshold_sigma.get();
-            let timing = Timing { lit, inwards, medium, rises: &rises, threshold_sigma };
+            let timing = Timing { lit: &lit, inwards, medium, rises: &rises, threshold_sigma };
             let points = timing.points(&bins, &context.cancel);
             points.iter().map(|(n, point)| row(point, records[*n].histogram.pair())).collect::<Vec<_>>()
         };
@@ -226,16 +229,70 @@ fn relay(
     Some((0..count).map(|n| pulse.at(medium.path_m(first_ps + n as f64 * step_ps)).max(0.0)).collect())
 }
 
-/// Confocal captures, then those of each lit point with enough of them.
-fn scans<'h, 'a>(histograms: &'h [Histogram<'a>]) -> Vec<(Option<Point>, Vec<&'h Histogram<'a>>)> {
+/// Captures of a scan.
+struct Group<'h, 'a> {
+    way: Way,
+    members: Vec<&'h Histogram<'a>>,
+}
+
+/// Which points of a scan are lit.
+#[derive(Clone, Copy)]
+enum Way {
+    /// The seen ones.
+    Back,
+    /// One for all.
+    From,
+    /// One for each, which moves with the seen one.
+    Apart,
+}
+
+impl Group<'_, '_> {
+    /// The place of a histogram: the seen point, or the one midway between both that move.
+    fn place(&self, one: &Histogram<'_>) -> Point {
+        match self.way {
+            Way::Back | Way::From => one.seen,
+            Way::Apart => nalgebra::center(&one.lit, &one.seen),
+        }
+    }
+
+    fn lit<'b>(&self, members: impl Iterator<Item = &'b Histogram<'b>>) -> Lit {
+        match self.way {
+            Way::Back => Lit::Same,
+            Way::From => Lit::One(self.members[0].lit),
+            Way::Apart => Lit::Apart(members.map(|one| (one.seen - one.lit) * 0.5).collect()),
+        }
+    }
+}
+
+/// Confocal captures, those of each lit point with enough of them, then pairs that move together.
+fn scans<'h, 'a>(histograms: &'h [Histogram<'a>], alike_m: f64) -> Vec<Group<'h, 'a>> {
     let confocal: Vec<&Histogram<'a>> = histograms.iter().filter(|one| one.is_confocal()).collect();
     let mut apart: BTreeMap<PatchId, Vec<&Histogram<'a>>> = BTreeMap::new();
     for one in histograms.iter().filter(|one| !one.is_confocal()) {
         apart.entry(one.pair()[0]).or_default().push(one);
     }
-    let mut scans = vec![(None, confocal)];
-    scans.extend(apart.into_values().map(|group| (Some(group[0].lit), group)));
-    scans.retain(|(_, group)| group.len() >= LEAST);
+    let (of_one, rest): (Vec<_>, Vec<_>) = apart.into_values().partition(|group| group.len() >= LEAST);
+    let mut scans = vec![Group { way: Way::Back, members: confocal }];
+    scans.extend(of_one.into_iter().map(|members| Group { way: Way::From, members }));
+    scans.extend(moves(rest, alike_m).into_iter().map(|members| Group { way: Way::Apart, members }));
+    scans.retain(|group| group.members.len() >= LEAST);
+    scans
+}
+
+/// Pairs that move together, from those of each lit point: one scan where each lit point has one seen point; else a
+/// scan for each way from the lit to the seen point, up to a difference.
+fn moves<'h, 'a>(pairs: Vec<Vec<&'h Histogram<'a>>>, alike_m: f64) -> Vec<Vec<&'h Histogram<'a>>> {
+    if pairs.iter().all(|of_lit| of_lit.len() == 1) {
+        return vec![pairs.concat()];
+    }
+    let mut scans: Vec<Vec<&Histogram<'a>>> = Vec::new();
+    let way = |one: &Histogram<'_>| one.seen - one.lit;
+    for one in pairs.into_iter().flatten() {
+        match scans.iter_mut().find(|scan| (way(scan[0]) - way(one)).norm() < alike_m) {
+            Some(scan) => scan.push(one),
+            None => scans.push(vec![one]),
+        }
+    }
     scans
 }
 

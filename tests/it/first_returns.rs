@@ -15,14 +15,14 @@ use crate::relay_scene::{Capture, FWHM_PS, periscope, response};
 type Point = Point3<f64>;
 
 /// Speed of light, m/ps.
-const LIGHT: f64 = 2.997_924_58e-4;
+pub const LIGHT: f64 = 2.997_924_58e-4;
 /// Steps of time in which light is summed, and the end of the response's tail.
 const STEP_PS: f64 = 2.0;
 const TAIL_PS: f64 = 1500.0;
 /// Chi-square of three coordinates that holds 95 %.
-const HOLDS: f64 = 7.815;
+pub const HOLDS: f64 = 7.815;
 /// Distance of facets.
-const PITCH_M: f64 = 0.0015;
+pub const PITCH_M: f64 = 0.0015;
 
 /// The nearest point of each thing to a place, and what it is: 0 smooth, 1 edge, 2 corner.
 type Nearest = Box<dyn Fn(&Point) -> Vec<(Point, usize)>>;
@@ -34,7 +34,7 @@ pub struct Thing {
 }
 
 /// A box with half axes at right angles; one axis of no length makes a plate.
-fn cuboid(middle: Point, axes: [Vector3<f64>; 3], pitch_m: f64) -> Thing {
+pub fn cuboid(middle: Point, axes: [Vector3<f64>; 3], pitch_m: f64) -> Thing {
     let mut facets = Vec::new();
     for k in 0..3 {
         let (along, up) = (axes[(k + 1) % 3], axes[(k + 2) % 3]);
@@ -64,7 +64,7 @@ fn cuboid(middle: Point, axes: [Vector3<f64>; 3], pitch_m: f64) -> Thing {
 }
 
 /// A sphere; facets that face away from the wall are left out.
-fn sphere(middle: Point, radius_m: f64, pitch_m: f64) -> Thing {
+pub fn sphere(middle: Point, radius_m: f64, pitch_m: f64) -> Thing {
     let rings = (std::f64::consts::PI * radius_m / pitch_m).ceil() as usize;
     let mut facets = Vec::new();
     for ring in 0..rings {
@@ -153,24 +153,29 @@ impl Thing {
 
     /// Writes a confocal scan with so many photons of the surface in a mean histogram.
     pub fn write(&self, path: &Path, capture: &Capture, photons: f64) {
-        let light: Vec<Vec<f64>> = capture.wall().iter().map(|place| self.light(capture, *place)).collect();
+        self.write_apart(path, capture, photons, Vector3::zeros());
+    }
+
+    /// The same with lit and seen points apart by so much to both sides of the points of the wall.
+    pub fn write_apart(&self, path: &Path, capture: &Capture, photons: f64, half: Vector3<f64>) {
+        let pairs = capture.wall().into_iter().map(Point::from).map(|place| [place - half, place + half]);
+        let light: Vec<Vec<f64>> = pairs.map(|pair| self.light(capture, pair)).collect();
         let mean = light.iter().flatten().sum::<f64>() / light.len() as f64;
         capture.write_light(path, |n, _, rates| {
             rates.iter_mut().zip(&light[n]).for_each(|(rate, light)| *rate += photons / mean * light);
         });
     }
 
-    /// Light of diffuse facets in the bins of a point of the wall, on any scale.
-    fn light(&self, capture: &Capture, place: [f64; 3]) -> Vec<f64> {
-        let seen = Point::from(place);
+    /// Light of diffuse facets from a lit point in the bins of a seen one, on any scale.
+    fn light(&self, capture: &Capture, pair: [Point; 2]) -> Vec<f64> {
         let steps = (capture.bins as f64 * capture.dt_ps / STEP_PS) as usize;
         let mut sums = vec![0.0; steps + 1];
         for (facet, normal, area_m2) in &self.facets {
-            let way = seen - facet;
-            let (square, facing) = (way.norm_squared(), normal.dot(&way));
-            let at = 2.0 * square.sqrt() / LIGHT / STEP_PS;
-            if facing > 0.0 && (at as usize) < steps {
-                let value = area_m2 * facing.powi(2) * way.z.powi(2) / square.powi(4);
+            let [to, from] = pair.map(|place| place - facet);
+            let at = (to.norm() + from.norm()) / LIGHT / STEP_PS;
+            let [there, back] = [to, from].map(|way| -normal.dot(&way) * way.z / way.norm_squared().powi(2));
+            if normal.dot(&to) > 0.0 && normal.dot(&from) > 0.0 && (at as usize) < steps {
+                let value = area_m2 * there * back;
                 sums[at as usize] += value * (1.0 - at.fract());
                 sums[at as usize + 1] += value * at.fract();
             }
@@ -299,7 +304,7 @@ fn convert(folder: &Path, thing: &Thing, capture: &Capture, photons: f64) {
     periscope(folder, &["convert", "scan.mat", "--out", "campaign", "--fwhm-ps", &fwhm, "--dt-ps", &dt]);
 }
 
-fn rows<R: Row>(folder: &Path, out: &str, table: &str) -> Vec<R> {
+pub fn rows<R: Row>(folder: &Path, out: &str, table: &str) -> Vec<R> {
     let shelf = Shelf::look(&folder.join(out)).unwrap();
     shelf.batches(table).unwrap().iter().flat_map(|batch| R::rows(batch).unwrap()).collect()
 }

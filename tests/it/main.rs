@@ -47,6 +47,7 @@ mod mirror;
 mod missed;
 mod mistakes;
 mod monte_carlo;
+mod moving_pairs;
 mod output;
 mod pieces;
 mod pipelines;

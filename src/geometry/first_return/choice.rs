@@ -5,8 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 use super::field::{Field, Kind};
 use super::flat::Flat;
 use super::local::{Local, Sample};
+use super::way::Way;
 use super::windows::{Chosen, Reading};
-use super::{FirstLight, Scan, SurfacePoint};
+use super::{FirstLight, Lit, Scan, SurfacePoint};
 
 /// Power of a likelihood that counts: errors of the law are common to neighbours.
 const TEMPER: f64 = 0.3;
@@ -59,13 +60,14 @@ impl<'a> Choice<'a> {
             covariance_m2 += (one.covariance_m2 + off * off.transpose()) * *share;
             away_covariance += (one.away_covariance + off_away * off_away.transpose()) * *share;
         }
-        let kind = self.kind(scan);
+        let kind = self.kind();
         let is_bent = self.share < 0.5;
         let fitted = if is_bent { self.bent?.field.fitted() } else { self.flat?.field.fitted() };
-        let curvatures = self.bent.filter(|_| kind == Kind::Smooth && is_bent && scan.lit.is_none()).map(|bent| {
-            let distance_m = bent.field.distance_m(None);
-            bent.field.bends(None).map(|[bend, _]| bend / distance_m / (1.0 - bend))
-        });
+        let curvatures =
+            self.bent.filter(|_| kind == Kind::Smooth && is_bent && matches!(scan.lit, Lit::Same)).map(|bent| {
+                let distance_m = bent.field.distance_m(&Way::Back);
+                bent.field.bends(&Way::Back).map(|[bend, _]| bend / distance_m / (1.0 - bend))
+            });
         let Sample { length_m, sd_m, law_m, .. } = self.samples[place];
         let common_m = common_m[0] * (1.0 - self.share) + common_m[1] * self.share;
         Some(SurfacePoint {
@@ -83,21 +85,20 @@ impl<'a> Choice<'a> {
     }
 
     /// Adds what the nearest point may be off by along the surface where the bent field is concave.
-    pub fn add_slides(&self, scan: &Scan, point: &mut SurfacePoint) {
+    pub fn add_slides(&self, point: &mut SurfacePoint) {
         let Some(bent) = self.bent else { return };
         let square_m2 = |n: &u32| (self.samples[*n as usize].at - bent.field.at).norm_squared();
         let mean_m2 = bent.members.iter().map(square_m2).sum::<f64>() / bent.members.len() as f64;
-        let lit = scan.lit.as_ref();
-        for (direction, sd_m) in bent.field.slides(lit, mean_m2.sqrt()) {
+        for (direction, sd_m) in bent.field.slides(&bent.way, mean_m2.sqrt()) {
             let variance_m2 = direction * direction.transpose() * sd_m.powi(2) * (1.0 - self.share);
             point.covariance_m2 += variance_m2;
-            point.normal_covariance += variance_m2 / bent.field.distance_m(lit).powi(2);
+            point.normal_covariance += variance_m2 / bent.field.distance_m(&bent.way).powi(2);
         }
     }
 
-    fn kind(&self, scan: &Scan) -> Kind {
+    fn kind(&self) -> Kind {
         let mut shares = [0.0; 3];
-        match self.bent.map(|bent| bent.field.kind(scan.lit.as_ref())) {
+        match self.bent.map(|bent| bent.field.kind(&bent.way)) {
             Some(Kind::Smooth) => shares[0] += 1.0 - self.share,
             Some(Kind::Edge) => shares[1] += 1.0 - self.share,
             Some(Kind::Corner) => shares[2] += 1.0 - self.share,

@@ -1,8 +1,11 @@
 //! A local field of lengths about a place of the wall.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix2, Vector3};
 
 use super::local::{Fitted, Local, Sample, Unknowns};
+use super::way::Way;
 use crate::Point;
 use crate::axes::across;
 
@@ -43,7 +46,7 @@ pub struct Field {
     /// Curvature of the lengths along these.
     bend: Matrix2<f64>,
     round: f64,
-    fitted: Fitted,
+    fitted: Arc<Fitted>,
 }
 
 impl Field {
@@ -81,23 +84,29 @@ impl Field {
         self.across = [across, self.direction.cross(&across)];
     }
 
-    /// Distance from the place to the point of the surface.
-    pub fn distance_m(&self, lit: Option<&Point>) -> f64 {
-        let Some(lit) = lit else { return self.length_m };
-        let apart = self.at - lit;
-        (self.length_m.powi(2) - apart.norm_squared()) / (2.0 * (self.length_m - apart.dot(&self.direction)))
+    fn point(&self, way: &Way) -> Point {
+        way.point(&self.at, self.length_m, &self.direction)
     }
 
-    /// Curvatures of the lengths times the distance, larger one first, and their standard deviations: 1 where the
-    /// surface ends.
-    pub fn bends(&self, lit: Option<&Point>) -> [[f64; 2]; 2] {
-        let distance_m = self.distance_m(lit);
-        let eigen = self.bend.symmetric_eigen();
+    /// Distance from the place to the point of the surface.
+    pub fn distance_m(&self, way: &Way) -> f64 {
+        (self.at - self.point(way)).norm()
+    }
+
+    /// Whether a point of the surface explains it.
+    pub fn has_point(&self, way: &Way) -> bool {
+        way.is_solved(&self.at, self.length_m, &self.direction)
+    }
+
+    /// Curvatures of the lengths over those where the surface ends, larger one first, and their standard deviations.
+    pub fn bends(&self, way: &Way) -> [[f64; 2]; 2] {
+        let Some(of_end) = way.of_end(&self.at, &self.point(way), &self.across) else { return [[0.0, f64::MAX]; 2] };
+        let eigen = (of_end.transpose() * self.bend * of_end).symmetric_eigen();
         let covariance = (self.fitted.noise + self.fitted.law).fixed_view::<3, 3>(3, 3).into_owned();
         let mut bends = [0, 1].map(|k| {
-            let [x, y] = [eigen.eigenvectors[(0, k)], eigen.eigenvectors[(1, k)]];
-            let slopes = Vector3::new(x * x, 2.0 * x * y, y * y);
-            [eigen.eigenvalues[k] * distance_m, slopes.dot(&(covariance * slopes)).sqrt() * distance_m]
+            let axis = of_end * eigen.eigenvectors.column(k);
+            let slopes = Vector3::new(axis.x * axis.x, 2.0 * axis.x * axis.y, axis.y * axis.y);
+            [eigen.eigenvalues[k], slopes.dot(&(covariance * slopes)).sqrt()]
         });
         bends.sort_by(|a, b| b[0].total_cmp(&a[0]));
         bends
@@ -106,17 +115,17 @@ impl Field {
     /// Directions in which the surface is concave, and by how much the nearest point is off along them if the curvature
     /// of the lengths changes by a share of itself over so many metres about the place. On concave surfaces the nearest
     /// point slides several times as far as the wall's point, over parts that are curved otherwise.
-    pub fn slides(&self, lit: Option<&Point>, radius_m: f64) -> [(Vector3<f64>, f64); 2] {
+    pub fn slides(&self, way: &Way, radius_m: f64) -> [(Vector3<f64>, f64); 2] {
         let eigen = self.bend.symmetric_eigen();
         [0, 1].map(|k| {
             let direction = self.across[0] * eigen.eigenvectors[(0, k)] + self.across[1] * eigen.eigenvectors[(1, k)];
-            (direction, CHANGE * (-eigen.eigenvalues[k]).max(0.0) * self.distance_m(lit) * radius_m)
+            (direction, CHANGE * (-eigen.eigenvalues[k]).max(0.0) * self.distance_m(way) * radius_m)
         })
     }
 
     /// What part of the surface it shows.
-    pub fn kind(&self, lit: Option<&Point>) -> Kind {
-        let [first, second] = self.bends(lit).map(|[bend, sd]| {
+    pub fn kind(&self, way: &Way) -> Kind {
+        let [first, second] = self.bends(way).map(|[bend, sd]| {
             let faces = 1.0 - bend > APART * sd;
             let ends = (1.0 - bend).abs() <= APART * sd && sd < SURE;
             (faces, ends)
@@ -131,7 +140,7 @@ impl Field {
 }
 
 impl Local for Field {
-    const USED: usize = 6;
+    const READ: usize = 3;
 
     fn at(&self) -> Point {
         self.at
@@ -174,17 +183,16 @@ impl Local for Field {
         self.length_m > 0.0
     }
 
-    fn reading(&self, lit: Option<&Point>) -> (Point, Vector3<f64>) {
-        let point = self.at - self.direction * self.distance_m(lit);
-        let normal = lit.map_or(self.direction, |lit| (self.direction + (lit - point).normalize()).normalize());
-        (point, normal)
+    fn reading(&self, way: &Way) -> (Point, Vector3<f64>) {
+        let point = self.point(way);
+        (point, way.normal(&self.at, &point, &self.direction))
     }
 
-    fn fitted(&self) -> &Fitted {
+    fn fitted(&self) -> &Arc<Fitted> {
         &self.fitted
     }
 
-    fn with(self, fitted: Fitted) -> Self {
+    fn with(self, fitted: Arc<Fitted>) -> Self {
         Self { fitted, ..self }
     }
 }

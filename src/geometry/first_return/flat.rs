@@ -4,10 +4,13 @@
 //! axis; a block goes on behind it. The nearest point slides as the body moves, but only across the direction of sight:
 //! the length changes as that to a point of the body. Edges that no length shows lie where they were thought to be.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Rotation3, SMatrix, Vector3};
 
 use super::field::Kind;
 use super::local::{Fitted, Local, Sample, UNKNOWNS, Unknowns};
+use super::way::Way;
 use super::{Face, SurfacePoint};
 use crate::Point;
 use crate::axes::across;
@@ -80,7 +83,7 @@ pub struct Flat {
     /// Changes since the start, and the precision of the start.
     off: Unknowns,
     precision: Unknowns,
-    fitted: Fitted,
+    fitted: Arc<Fitted>,
 }
 
 impl Flat {
@@ -124,10 +127,14 @@ impl Flat {
         self.axes.map(|axis| axis.dot(&(place - self.corner)))
     }
 
+    /// The nearest point of the body, both along the axes from the corner.
+    fn nearest_along(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let within = |k: usize, along: f64| along.max(-self.widths_m[k].max(0.0)).min(0.0);
+        [within(0, x), within(1, y), if self.is_block { z.min(0.0) } else { 0.0 }]
+    }
+
     fn nearest(&self, place: &Point) -> Point {
-        let [x, y, z] = self.along(place);
-        let [x, y] = [x.clamp(-self.widths_m[0].max(0.0), 0.0), y.clamp(-self.widths_m[1].max(0.0), 0.0)];
-        let z = if self.is_block { z.min(0.0) } else { 0.0 };
+        let [x, y, z] = self.nearest_along(self.along(place));
         self.corner + self.axes[0] * x + self.axes[1] * y + self.axes[2] * z
     }
 
@@ -193,7 +200,7 @@ impl Flat {
 }
 
 impl Local for Flat {
-    const USED: usize = UNKNOWNS;
+    const READ: usize = UNKNOWNS;
 
     fn at(&self) -> Point {
         self.at
@@ -207,16 +214,16 @@ impl Local for Flat {
     }
 
     fn length(&self, place: &Point) -> (f64, Unknowns) {
-        let nearest = self.nearest(place);
-        let way = place - nearest;
-        let length_m = way.norm().max(1e-9);
-        let along = way / length_m;
-        let turn = (nearest - self.pivot).cross(&along);
-        let [a, b, n] = self.axes;
-        let shifts = [along.dot(&a), along.dot(&b), along.dot(&n)];
-        let place = self.along(place);
+        // All along the axes, from the corner.
+        let (place, pivot) = (self.along(place), self.along(&self.pivot));
+        let nearest = self.nearest_along(place);
+        let way: [f64; 3] = std::array::from_fn(|k| place[k] - nearest[k]);
+        let length_m = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt().max(1e-9);
+        let shifts = way.map(|way| way / length_m);
         let wider = [0, 1].map(|k| if place[k] < -self.widths_m[k] { -shifts[k] } else { 0.0 });
-        let turns = [turn.dot(&a), turn.dot(&b), turn.dot(&n)];
+        let arm: [f64; 3] = std::array::from_fn(|k| nearest[k] - pivot[k]);
+        let turn = |a: usize, b: usize| arm[a] * shifts[b] - arm[b] * shifts[a];
+        let turns = [turn(1, 2), turn(2, 0), turn(0, 1)];
         let slopes = [shifts[0], shifts[1], shifts[2], turns[0], turns[1], turns[2], wider[0], wider[1]];
         (length_m, -Unknowns::from(slopes))
     }
@@ -243,16 +250,39 @@ impl Local for Flat {
         self.corner.coords.iter().all(|value| value.is_finite()) && self.widths_m.iter().all(|width_m| *width_m > 0.0)
     }
 
-    fn reading(&self, _: Option<&Point>) -> (Point, Vector3<f64>) {
+    fn reading(&self, _: &Way) -> (Point, Vector3<f64>) {
         let point = self.nearest(&self.at);
         (point, (self.at - point).normalize())
     }
 
-    fn fitted(&self) -> &Fitted {
+    fn reading_slopes(&self, _: &Way) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
+        // Along the axes: what is bound to the body moves with it, the rest stays next to the place.
+        let (place, pivot) = (self.along(&self.at), self.along(&self.pivot));
+        let nearest = self.nearest_along(place);
+        let is_free = [0, 1, 2].map(|k| place[k] == nearest[k] && (k < 2 || self.is_block));
+        let [at, of_place] = [nearest, place].map(|point| Vector3::from_fn(|k, _| point[k] - pivot[k]));
+        let mut slopes = SMatrix::<f64, 3, UNKNOWNS>::zeros();
+        for k in 0..3 {
+            let axis = Vector3::ith(k, 1.0);
+            let free = |moved: Vector3<f64>| Vector3::from_fn(|k, _| if is_free[k] { moved[k] } else { 0.0 });
+            slopes.set_column(k, &(axis - free(axis)));
+            slopes.set_column(3 + k, &(axis.cross(&at) - free(axis.cross(&of_place))));
+            if k < 2 && place[k] < -self.widths_m[k] {
+                slopes[(k, 6 + k)] = -1.0;
+            }
+        }
+        let slopes = Matrix3::from_columns(&self.axes) * slopes;
+        let way = self.at - self.nearest(&self.at);
+        let away = way.normalize();
+        let turned = (away * away.transpose() - Matrix3::identity()) * (1.0 / way.norm());
+        [slopes, turned * slopes]
+    }
+
+    fn fitted(&self) -> &Arc<Fitted> {
         &self.fitted
     }
 
-    fn with(self, fitted: Fitted) -> Self {
+    fn with(self, fitted: Arc<Fitted>) -> Self {
         Self { fitted, ..self }
     }
 

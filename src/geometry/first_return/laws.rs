@@ -64,15 +64,10 @@ pub fn by_likelihood(scan: &Scan, near: &[Vec<u32>]) -> Vec<Shares> {
 }
 
 /// Of each place, by the curvatures of the fields about it and these shares.
-pub fn by_curvature(
-    scan: &Scan,
-    near: &[Vec<u32>],
-    likely: &[Shares],
-    fields: &[Option<Chosen<Field>>],
-) -> Vec<Shares> {
+pub fn by_curvature(near: &[Vec<u32>], likely: &[Shares], fields: &[Option<Chosen<Field>>]) -> Vec<Shares> {
     let of_field = |chosen: &Option<Chosen<Field>>| {
         let Some(chosen) = chosen else { return [0.0; 3] };
-        let [first, second] = chosen.field.bends(scan.lit.as_ref()).map(|[bend, sd]| {
+        let [first, second] = chosen.field.bends(&chosen.way).map(|[bend, sd]| {
             let sd = sd.hypot(LEAST_SD);
             let z = (1.0 - bend) / sd;
             let ends = (-0.5 * z * z).exp() / (sd * std::f64::consts::TAU.sqrt());

@@ -1,7 +1,10 @@
 //! What fields of lengths about a place have in common: how they are fitted, and how sure they are.
 
-use nalgebra::{SMatrix, SVector, Vector3};
+use std::sync::Arc;
 
+use nalgebra::{Const, Dyn, OMatrix, SMatrix, SVector, Vector3};
+
+use super::way::Way;
 use crate::Point;
 use crate::axes::across;
 
@@ -9,8 +12,10 @@ use crate::axes::across;
 pub const UNKNOWNS: usize = 8;
 pub type Unknowns = SVector<f64, UNKNOWNS>;
 pub type Covariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
+/// A column a member.
+type Columns<const ROWS: usize> = OMatrix<f64, Const<ROWS>, Dyn>;
 
-/// Rounds of least squares, halvings of a step, and change of chi-square that ends them.
+/// Rounds of least squares, halvings of a step, and expected gain of a step, in chi-square, that ends them.
 const ROUNDS: usize = 8;
 const HALVINGS: usize = 4;
 const DONE: f64 = 1e-2;
@@ -30,6 +35,8 @@ pub const WAVE_VARIANCES: [f64; WAVES] = {
     }
     variances
 };
+/// Members over which errors of the law are summed.
+const SMOOTH: usize = 100;
 /// Step of differences.
 const STEP: f64 = 1e-6;
 
@@ -57,8 +64,8 @@ pub struct Fitted {
 }
 
 impl Fitted {
-    pub fn none() -> Self {
-        Self { noise: Covariance::zeros(), law: Covariance::zeros(), square: 0.0, count: 0 }
+    pub fn none() -> Arc<Self> {
+        Arc::new(Self { noise: Covariance::zeros(), law: Covariance::zeros(), square: 0.0, count: 0 })
     }
 
     /// Chi-square over its degrees of freedom.
@@ -73,8 +80,7 @@ impl Fitted {
     }
 }
 
-/// Chi-square of lengths and of what was thought before, the gradient of half of it, downwards, and the lower half of
-/// the information.
+/// Chi-square of lengths and of what was thought before, the gradient of half of it, downwards, and the information.
 pub struct NormalEquations {
     pub square: f64,
     prior: f64,
@@ -90,8 +96,8 @@ impl NormalEquations {
 
 /// A field of lengths about a place.
 pub trait Local: Clone + Send + Sync {
-    /// So many unknowns, the first ones, change lengths.
-    const USED: usize;
+    /// So many unknowns, the first ones, change the reading.
+    const READ: usize;
 
     /// The place.
     fn at(&self) -> Point;
@@ -106,9 +112,9 @@ pub trait Local: Clone + Send + Sync {
     /// Whether lengths are possible ones.
     fn is_possible(&self) -> bool;
     /// The point of the surface, and the unit vector away from it.
-    fn reading(&self, lit: Option<&Point>) -> (Point, Vector3<f64>);
-    fn fitted(&self) -> &Fitted;
-    fn with(self, fitted: Fitted) -> Self;
+    fn reading(&self, way: &Way) -> (Point, Vector3<f64>);
+    fn fitted(&self) -> &Arc<Fitted>;
+    fn with(self, fitted: Arc<Fitted>) -> Self;
     /// A field of another kind with the same unknowns, where there is one.
     fn other(&self) -> Option<Self> {
         None
@@ -129,24 +135,25 @@ pub trait Local: Clone + Send + Sync {
         let mut now = field.normal_equations(samples, members);
         for _ in 0..ROUNDS {
             let step = now.information.cholesky()?.solve(&now.gradient);
+            if step.dot(&now.gradient) < DONE {
+                // So small a step ends where it is thought to.
+                field = field.moved(&step);
+                break;
+            }
             let next = (0..HALVINGS).find_map(|halving| {
                 let next = field.moved(&(step * 0.5_f64.powi(halving as i32)));
                 let then = next.normal_equations(samples, members);
                 (then.cost() < now.cost()).then_some((next, then))
             });
             let Some((next, then)) = next else { break };
-            let gain = now.cost() - then.cost();
             (field, now) = (next, then);
-            if gain < DONE {
-                break;
-            }
         }
         if !field.is_possible() || !now.square.is_finite() {
             return None;
         }
         let inverse = now.information.cholesky()?.inverse();
         let [noise, law] = field.spread(samples, members, zone_m).map(|spread| inverse * spread * inverse);
-        Some(field.with(Fitted { noise, law, square: now.square, count: members.len() }))
+        Some(field.with(Arc::new(Fitted { noise, law, square: now.square, count: members.len() })))
     }
 
     fn normal_equations(&self, samples: &[Sample], members: &[u32]) -> NormalEquations {
@@ -157,14 +164,17 @@ pub trait Local: Clone + Send + Sync {
             information: Covariance::from_diagonal(&precision),
             gradient: -precision.component_mul(&off),
         };
-        for sample in members.iter().map(|n| &samples[*n as usize]) {
+        let mut lines = Columns::<UNKNOWNS>::zeros(members.len());
+        for (mut line, n) in lines.column_iter_mut().zip(members) {
+            let sample = &samples[*n as usize];
             let (length_m, slopes) = self.length(&sample.at);
-            let weight = sample.weighted_m.powi(-2);
-            let off_m = sample.length_m - length_m;
-            equations.square += off_m * off_m * weight;
-            equations.gradient += slopes * (off_m * weight);
-            add_square::<Self>(&mut equations.information, &slopes, weight);
+            let weight = 1.0 / sample.weighted_m;
+            let off = (sample.length_m - length_m) * weight;
+            equations.square += off * off;
+            equations.gradient += slopes * (off * weight);
+            line.copy_from(&(slopes * weight));
         }
+        equations.information += &lines * lines.transpose();
         equations
     }
 
@@ -176,7 +186,7 @@ pub trait Local: Clone + Send + Sync {
         members: &'a [u32],
         zone_m: f64,
     ) -> impl Iterator<Item = [f64; WAVES]> + use<'a, Self> {
-        let (at, across) = (self.at(), across(&self.reading(None).1));
+        let (at, across) = (self.at(), across(&self.reading(&Way::Back).1));
         members.iter().map(move |n| {
             let from = samples[*n as usize].at - at;
             let [x, y] = across.each_ref().map(|axis| wave_heights(axis.dot(&from) / zone_m));
@@ -186,43 +196,42 @@ pub trait Local: Clone + Send + Sync {
 
     /// Covariance of the gradient under noise and what was thought before, and under errors of the law.
     fn spread(&self, samples: &[Sample], members: &[u32], zone_m: f64) -> [Covariance; 2] {
-        let mut noise = Covariance::from_diagonal(&self.prior().1);
-        let mut sums = [Unknowns::zeros(); WAVES];
-        for (n, waves) in members.iter().zip(self.waves(samples, members, zone_m)) {
-            let sample = &samples[*n as usize];
-            let (_, slopes) = self.length(&sample.at);
-            let weight = sample.weighted_m.powi(-2);
-            add_square::<Self>(&mut noise, &slopes, (sample.sd_m * weight).powi(2));
-            let row = slopes * (sample.law_m * weight);
-            sums.iter_mut().zip(waves).for_each(|(sum, wave)| *sum += row * wave);
+        let weighted = |members: &[u32], of: fn(&Sample) -> f64| {
+            let mut lines = Columns::<UNKNOWNS>::zeros(members.len());
+            for (mut line, n) in lines.column_iter_mut().zip(members) {
+                let sample = &samples[*n as usize];
+                line.copy_from(&(self.length(&sample.at).1 * (of(sample) * sample.weighted_m.powi(-2))));
+            }
+            lines
+        };
+        let by_noise = weighted(members, |sample| sample.sd_m);
+        let noise = Covariance::from_diagonal(&self.prior().1) + &by_noise * by_noise.transpose();
+        // The law's error is smooth: some members show what it does to all.
+        let step = members.len().div_ceil(SMOOTH).max(1);
+        let some: Vec<u32> = members.iter().copied().step_by(step).collect();
+        let by_law = weighted(&some, |sample| sample.law_m) * (members.len() as f64 / some.len().max(1) as f64);
+        let waves = Columns::<WAVES>::from_iterator(some.len(), self.waves(samples, &some, zone_m).flatten());
+        let mut sums = by_law * waves.transpose();
+        for (mut sum, variance) in sums.column_iter_mut().zip(WAVE_VARIANCES) {
+            sum *= variance.sqrt();
         }
-        noise.fill_upper_triangle_with_lower_triangle();
-        let law = sums.iter().zip(WAVE_VARIANCES).map(|(sum, variance)| sum * sum.transpose() * variance).sum();
-        [noise, law]
+        [noise, sums * sums.transpose()]
     }
 
     /// Slopes of both parts of the reading by the unknowns.
-    fn reading_slopes(&self, lit: Option<&Point>) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
+    fn reading_slopes(&self, way: &Way) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
         let mut slopes = [SMatrix::<f64, 3, UNKNOWNS>::zeros(), SMatrix::<f64, 3, UNKNOWNS>::zeros()];
-        for k in 0..Self::USED {
+        for k in 0..Self::READ {
             let read = |step: f64| {
                 let mut steps = Unknowns::zeros();
                 steps[k] = step;
-                self.moved(&steps).reading(lit)
+                self.moved(&steps).reading(way)
             };
             let (up, down) = (read(STEP), read(-STEP));
             slopes[0].set_column(k, &((up.0 - down.0) / (2.0 * STEP)));
             slopes[1].set_column(k, &((up.1 - down.1) / (2.0 * STEP)));
         }
         slopes
-    }
-}
-
-/// Adds the square of slopes, weighted, to the lower half of a matrix.
-fn add_square<F: Local>(matrix: &mut Covariance, slopes: &Unknowns, weight: f64) {
-    for column in 0..F::USED {
-        let weighted = slopes[column] * weight;
-        (column..F::USED).for_each(|row| matrix[(row, column)] += weighted * slopes[row]);
     }
 }
 

@@ -7,7 +7,9 @@ use rand_distr::{Distribution, StandardNormal};
 use super::dispersion::Dispersion;
 use super::field::Field;
 use super::local::{Covariance, Local, Sample};
+use super::way::Way;
 use super::*;
+use crate::neighbours::neighbours;
 
 const SIGMA_M: f64 = 7.5e-3;
 
@@ -30,12 +32,13 @@ fn valley(seen: &Point) -> Point {
 }
 
 /// First returns, noise as steps have it, and laws of equal likelihood and length.
-fn scan(wall: &[Point], lit: Option<Point>, surface: impl Fn(&Point) -> Point, sd_m: f64, seed: u64) -> Scan {
+fn scan(wall: &[Point], lit: Lit, surface: impl Fn(&Point) -> Point, sd_m: f64, seed: u64) -> Scan {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let mut place = |seen: &Point| {
         let point = surface(seen);
         let noise: f64 = StandardNormal.sample(&mut random);
-        let length_m = (point - lit.unwrap_or(*seen)).norm() + (point - seen).norm() + sd_m * noise;
+        let lit = if let Lit::One(lit) = lit { lit } else { *seen };
+        let length_m = (point - lit).norm() + (point - seen).norm() + sd_m * noise;
         Place { seen: *seen, returns: [Return { length_m, sd_m, common_m: 0.0, log_likelihood: 0.0 }; 3] }
     };
     let places = wall.iter().map(&mut place).collect();
@@ -66,7 +69,7 @@ fn judged(scan: &Scan, surface: impl Fn(&Point) -> Point) -> (f64, f64) {
 fn a_sphere_is_found_on_a_flat_wall_and_on_one_with_relief() {
     for (seed, bump_m) in [(1, 0.0), (2, 0.03)] {
         let wall = wall(32, |x, y| bump_m * (9.0 * x).sin() * (7.0 * y).cos());
-        let (held, median_m) = judged(&scan(&wall, None, sphere, 1.5e-3, seed), sphere);
+        let (held, median_m) = judged(&scan(&wall, Lit::Same, sphere, 1.5e-3, seed), sphere);
         // The law's error is not in these lengths, so that ellipsoids are too large.
         assert!(held > 0.95 && median_m < 3e-3, "relief {bump_m}: {held}, {median_m} m");
     }
@@ -74,7 +77,7 @@ fn a_sphere_is_found_on_a_flat_wall_and_on_one_with_relief() {
 
 #[test]
 fn no_field_is_fitted_across_a_valley() {
-    let (held, median_m) = judged(&scan(&wall(32, |_, _| 0.0), None, valley, 1e-3, 3), valley);
+    let (held, median_m) = judged(&scan(&wall(32, |_, _| 0.0), Lit::Same, valley, 1e-3, 3), valley);
     assert!(held > 0.9 && median_m < 4e-3, "{held}, {median_m} m");
 }
 
@@ -87,7 +90,7 @@ fn a_fixed_lit_point_shows_the_point_that_reflects() {
         let image = lit + normal * (2.0 * height(&lit));
         image + (seen - image) * (height(&lit) / (height(&lit) + height(seen)))
     };
-    let scan = scan(&wall(32, |_, _| 0.0), Some(lit), plane, 1e-3, 4);
+    let scan = scan(&wall(32, |_, _| 0.0), Lit::One(lit), plane, 1e-3, 4);
     let (held, median_m) = judged(&scan, plane);
     assert!(held > 0.95 && median_m < 3e-3, "{held}, {median_m} m");
     let normal = -Vector3::new(0.2, -0.1, 1.0).normalize();
@@ -99,7 +102,7 @@ fn a_fixed_lit_point_shows_the_point_that_reflects() {
 fn edges_and_spheres_are_distinguished() {
     let edge = |seen: &Point| Point::new(0.9, seen.y, 0.5);
     for (surface, kind) in [(&edge as &dyn Fn(&Point) -> Point, Kind::Edge), (&sphere, Kind::Smooth)] {
-        let mut scan = scan(&wall(32, |_, _| 0.0), None, surface, 2e-4, 5);
+        let mut scan = scan(&wall(32, |_, _| 0.0), Lit::Same, surface, 2e-4, 5);
         scan.sigma_m = 1e-4;
         let points = points(&scan);
         let [right, sure] = [&[kind][..], &[Kind::Smooth, Kind::Edge, Kind::Corner]]
@@ -110,7 +113,7 @@ fn edges_and_spheres_are_distinguished() {
 
 #[test]
 fn too_few_places_have_no_points() {
-    assert_eq!(points(&scan(&wall(3, |_, _| 0.0), None, sphere, 1e-3, 6)), []);
+    assert_eq!(points(&scan(&wall(3, |_, _| 0.0), Lit::Same, sphere, 1e-3, 6)), []);
 }
 
 #[test]
@@ -158,9 +161,9 @@ fn covariances_are_those_of_repeated_noise() {
         };
         let samples: Vec<Sample> = places.iter().map(&mut sample).collect();
         let field = Field::new(&samples[14], -Vector3::z()).fit(&samples, &members, 0.1).unwrap();
-        let off = field.reading(None).0 - sphere(&places[14]);
+        let off = field.reading(&Way::Back).0 - sphere(&places[14]);
         sum += off * off.transpose() / 400.0;
-        let [slopes, _] = field.reading_slopes(None);
+        let [slopes, _] = field.reading_slopes(&Way::Back);
         stated += slopes * field.fitted().noise * slopes.transpose() / 400.0;
     }
     // Variances over 400 draws have a standard deviation of 7 %.
@@ -193,7 +196,7 @@ fn block(middle: Point, half_m: [f64; 3]) -> impl Fn(&Point) -> Point {
 fn plates_and_blocks_are_found_to_their_corners() {
     for (depth_m, seed) in [(0.0, 8), (0.1, 9)] {
         let surface = block(Point::new(0.05, 0.02, 0.7), [0.2, 0.15, depth_m]);
-        let scan = scan(&wall(32, |_, _| 0.0), None, &surface, 1e-3, seed);
+        let scan = scan(&wall(32, |_, _| 0.0), Lit::Same, &surface, 1e-3, seed);
         let (held, median_m) = judged(&scan, &surface);
         // Without flat faces the median is 5 mm.
         assert!(held > 0.9 && median_m < 1.5e-3, "depth {depth_m}: {held}, {median_m} m");
@@ -235,4 +238,88 @@ fn residuals_show_how_large_a_smooth_error_is() {
         assert!((shown.powi(2) - law_m.powi(2)).abs() < 0.15 * law_m.powi(2) + 2e-7, "{shown} of {law_m}");
         assert!(most > shown && most < 2.0 * law_m + 2.0 * sd_m, "{most} for {law_m}");
     }
+}
+
+/// From places over a face, beyond edges and beyond a corner.
+#[test]
+fn readings_of_flat_faces_have_the_slopes_of_differences() {
+    const STEP: f64 = 1e-6;
+    let surface = block(Point::new(0.0, 0.0, 0.7), [0.2, 0.15, 0.0]);
+    let scan = scan(&wall(16, |_, _| 0.0), Lit::Same, &surface, 1e-4, 10);
+    let hints: Vec<Hint> = points(&scan).iter().map(Hint::new).collect();
+    let samples: Vec<Sample> = laws::samples(&scan, &vec![[1.0, 0.0, 0.0]; scan.places.len()]);
+    let members: Vec<u32> = (0..samples.len() as u32).collect();
+    let sheet = Flat::starts(samples[0].at, &hints, &samples, &members, 0.07).swap_remove(0);
+    for (n, flat) in (0..samples.len()).flat_map(|n| [(n, sheet.clone()), (n, sheet.other().unwrap())]) {
+        let flat = flat.seen_from(samples[n].at + Vector3::new(0.0, 0.0, -0.01));
+        let slopes = flat.reading_slopes(&Way::Back);
+        for k in 0..local::UNKNOWNS {
+            let read = |step: f64| {
+                let mut steps = local::Unknowns::zeros();
+                steps[k] = step;
+                flat.moved(&steps).reading(&Way::Back)
+            };
+            let (up, down) = (read(STEP), read(-STEP));
+            let differences = [(up.0 - down.0) / (2.0 * STEP), (up.1 - down.1) / (2.0 * STEP)];
+            for (slopes, differences) in slopes.iter().zip(differences) {
+                let off = (slopes.column(k) - differences).norm();
+                assert!(off < 1e-4, "place {n}, unknown {k}: {} and {differences}", slopes.column(k));
+            }
+        }
+    }
+}
+
+/// The point of a sphere over which light goes from one point to another: the shortest way.
+fn reflects(lit: &Point, seen: &Point) -> Point {
+    let middle = Point::new(0.05, -0.03, 0.8);
+    let mut point = sphere(&nalgebra::center(lit, seen));
+    // The normal halves the angle between both directions.
+    for _ in 0..200 {
+        point = middle + ((lit - point).normalize() + (seen - point).normalize()).normalize() * 0.2;
+    }
+    point
+}
+
+/// Lit and seen points a hand apart, turned and drawn apart over the wall.
+#[test]
+fn pairs_that_move_together_show_the_point_that_reflects() {
+    let half = |at: &Point| Vector3::new(0.1 + 0.2 * at.y, 0.06 - 0.15 * at.x, 0.0);
+    for (seed, moved) in [(11, 0.0), (12, 1.0)] {
+        let wall = wall(32, |_, _| 0.0);
+        let halves: Vec<Vector3<f64>> =
+            wall.iter().map(|at| half(&Point::origin()) * (1.0 - moved) + half(at) * moved).collect();
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut truths = Vec::new();
+        let mut place = |(at, half): (&Point, &Vector3<f64>)| {
+            let (lit, seen) = (at - half, at + half);
+            let point = reflects(&lit, &seen);
+            truths.push((point, lit, seen));
+            let noise: f64 = StandardNormal.sample(&mut random);
+            let length_m = (point - lit).norm() + (point - seen).norm() + 1e-3 * noise;
+            Place { seen: *at, returns: [Return { length_m, sd_m: 1e-3, common_m: 0.0, log_likelihood: 0.0 }; 3] }
+        };
+        let places = wall.iter().zip(&halves).map(&mut place).collect();
+        let scan = Scan { lit: Lit::Apart(halves.clone()), inwards: Vector3::z(), sigma_m: SIGMA_M, places };
+        let points = points(&scan);
+        let holds = |point: &&SurfacePoint| {
+            let off = point.point - truths[point.place].0;
+            off.dot(&point.covariance_m2.cholesky().expect("a covariance").solve(&off)) < 7.815
+        };
+        let held = points.iter().filter(holds).count();
+        let mut offs_m: Vec<f64> = points.iter().map(|point| (point.point - truths[point.place].0).norm()).collect();
+        offs_m.sort_by(f64::total_cmp);
+        assert!(points.len() > 950 && held * 100 > 95 * points.len(), "{moved}: {held} of {}", points.len());
+        assert!(offs_m[offs_m.len() / 2] < 3e-3, "{moved}: {} m", offs_m[offs_m.len() / 2]);
+        let turned = |point: &SurfacePoint| point.normal.angle(&(point.point - Point::new(0.05, -0.03, 0.8)));
+        assert!(points.iter().filter(|point| turned(point) < 0.1).count() * 10 > 9 * points.len());
+    }
+}
+
+/// Lit points in any order move with nothing.
+#[test]
+fn pairs_in_any_order_have_no_points() {
+    let wall = wall(16, |_, _| 0.0);
+    let halves = (0..wall.len()).map(|n| (wall[n] - wall[n * (31 * n + 7) % wall.len()]) * 0.5).collect();
+    let scan = Scan { lit: Lit::Apart(halves), ..scan(&wall, Lit::Same, sphere, 1e-3, 13) };
+    assert_eq!(points(&scan), []);
 }

@@ -1,6 +1,8 @@
 //! Which neighbours a field is fitted to.
 
+use std::cell::OnceCell;
 use std::f64::consts::FRAC_PI_4;
+use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
@@ -10,14 +12,18 @@ use super::Scan;
 use super::field::Field;
 use super::flat::{Flat, Hint};
 use super::local::{Local, Sample};
+use super::way::Way;
 use crate::Point;
 use crate::axes::across;
+use crate::neighbours::Cells;
 
 /// Places of a window, and the most that are neighbours: half of a window lies on one side.
 pub const SIZES: [usize; 11] = [13, 21, 34, 55, 89, 144, 233, 377, 610, 987, 1600];
 /// So many sizes do for curvatures.
 pub const FEW: usize = 7;
-pub const MOST: usize = 2000;
+/// Nearest places that are sought of each place, and where a window needs more.
+const NEAR: usize = 240;
+const MOST: usize = 2000;
 /// Windows on one side.
 const SIDES: usize = 8;
 /// Of so many nearest places, itself with them, one has flat faces of its own; of more where there are many places.
@@ -52,11 +58,26 @@ const MIDDLE: f64 = 2.37;
 /// Share of differences between windows that is bias.
 const BIAS: f64 = 1.5;
 
+/// Places of a wall: the nearest ones of each, how light goes to it, and cells in which more are found.
+pub struct Wall {
+    pub near: Vec<Vec<u32>>,
+    ways: Vec<Option<Way>>,
+    cells: Cells,
+}
+
+impl Wall {
+    pub fn new(scan: &Scan, cancel: &Cancel) -> Self {
+        let cells = Cells::new(scan.places.iter().map(|place| place.seen).collect());
+        let near = cells.all_nearest(NEAR, cancel);
+        Self { ways: Way::all(scan, &near), near, cells }
+    }
+}
+
 /// A field, its members, and what other windows say otherwise of its point and its normal.
 pub struct Chosen<F> {
     pub field: F,
-    pub members: Vec<u32>,
-    lit: Option<Point>,
+    pub members: Arc<[u32]>,
+    pub way: Way,
     /// Fields that other windows say, and the share of their difference that is bias.
     others: Vec<(f64, F)>,
 }
@@ -65,16 +86,17 @@ pub struct Chosen<F> {
 pub fn fields(
     scan: &Scan,
     samples: &[Sample],
-    near: &[Vec<u32>],
+    wall: &Wall,
     sizes: &[usize],
     cancel: &Cancel,
 ) -> Vec<Option<Chosen<Field>>> {
     let of_place = |n: usize| {
         cancel.check();
-        let zone_m = scan.zone_m(samples[n].length_m * if scan.lit.is_some() { 0.5 } else { 1.0 });
+        let way = wall.ways[n]?;
+        let zone_m = scan.zone_m(samples[n].length_m * 0.5 / scan.share());
         let start = |members: &[u32]| Field::new(&samples[n], -scan.inwards).fit(samples, members, zone_m);
-        let accepts = |_: &Field, _: &[u32]| true;
-        Growth { scan, samples, all_near: near, place: n, zone_m, sizes, start, accepts }.chosen()
+        let accepts = |field: &Field, _: &[u32]| field.has_point(&way);
+        Growth { scan, samples, wall, more: OnceCell::new(), place: n, way, zone_m, sizes, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
@@ -85,11 +107,11 @@ pub fn fields(
 pub fn flats(
     scan: &Scan,
     samples: &[Sample],
-    near: &[Vec<u32>],
+    wall: &Wall,
     (hints, bent): (&[Option<Hint>], &[Option<Reading>]),
     cancel: &Cancel,
 ) -> Vec<Option<Chosen<Flat>>> {
-    let centres = apart(near, NEAREST.max(near.len() / CENTRES));
+    let centres = apart(&wall.near, NEAREST.max(samples.len() / CENTRES));
     let of_place = |n: usize| {
         cancel.check();
         if !centres[n] {
@@ -109,13 +131,14 @@ pub fn flats(
             let step = members.len().div_ceil(COMPARED);
             let off = |member: &u32| {
                 let bent = bent[*member as usize].as_ref()?;
-                reading(&flat.seen_from(samples[*member as usize].at), None).off(bent)
+                reading(&flat.seen_from(samples[*member as usize].at), &Way::Back).off(bent)
             };
             let mut off: Vec<f64> = members.iter().step_by(step).filter_map(off).collect();
             off.sort_by(f64::total_cmp);
             off.get(off.len() / 2).is_none_or(|middle| *middle < MIDDLE)
         };
-        Growth { scan, samples, all_near: near, place: n, zone_m, sizes: &FLAT_SIZES, start, accepts }.chosen()
+        let (way, sizes, more) = (Way::Back, &FLAT_SIZES, OnceCell::new());
+        Growth { scan, samples, wall, more, place: n, way, zone_m, sizes, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
 }
@@ -134,8 +157,10 @@ fn apart(near: &[Vec<u32>], nearest: usize) -> Vec<bool> {
 struct Growth<'a, S, A> {
     scan: &'a Scan,
     samples: &'a [Sample],
-    all_near: &'a [Vec<u32>],
+    wall: &'a Wall,
+    more: OnceCell<Vec<u32>>,
     place: usize,
+    way: Way,
     zone_m: f64,
     sizes: &'a [usize],
     start: S,
@@ -148,7 +173,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
     }
 
     fn near(&self) -> &[u32] {
-        &self.all_near[self.place]
+        &self.wall.near[self.place]
     }
 
     /// The nearest on a side; side 0 is all around.
@@ -158,7 +183,12 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         let angle = (side as f64 - 1.0) * FRAC_PI_4;
         let towards = x * angle.cos() + y * angle.sin();
         let is_there = |n: &u32| side == 0 || towards.dot(&(self.at(*n).at - here)) > -1e-9;
-        self.near().iter().copied().filter(is_there).take(size).collect()
+        let of = |near: &[u32]| -> Vec<u32> { near.iter().copied().filter(is_there).take(size).collect() };
+        let nearest = of(self.near());
+        if nearest.len() == size || self.near().len() < NEAR {
+            return nearest;
+        }
+        of(self.more.get_or_init(|| self.wall.cells.nearest(self.place, MOST)))
     }
 
     fn begin(&self, side: usize) -> Option<(F, Vec<u32>)> {
@@ -189,9 +219,13 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         let covariance = field.fitted().noise + field.fitted().law;
         let follows = |n: &u32| {
             let sample = self.at(*n);
-            let (length_m, slopes) = field.length(&sample.at);
-            let variance = slopes.dot(&(covariance * slopes)) + sample.sd_m.powi(2) + sample.law_m.powi(2);
-            (sample.length_m - length_m).powi(2) < FOLLOWS * variance
+            let off_m2 = (sample.length_m - field.length_m(&sample.at)).powi(2);
+            let variance = sample.sd_m.powi(2) + sample.law_m.powi(2);
+            let of_field = || {
+                let (_, slopes) = field.length(&sample.at);
+                slopes.dot(&(covariance * slopes))
+            };
+            off_m2 < FOLLOWS * variance || off_m2 < FOLLOWS * (variance + of_field())
         };
         let (mut followers, mut lost): (Vec<u32>, Vec<u32>) = window.iter().partition(|n| follows(n));
         lost.sort_unstable();
@@ -199,7 +233,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         let next_m2 = NEXT * NEXT * (self.at(near[1]).at - self.at(near[0]).at).norm_squared();
         let is_inside = |n: &u32| {
             let is_next = |other: &&u32| (self.at(**other).at - self.at(*n).at).norm_squared() < next_m2;
-            let next = self.all_near[*n as usize][1..].iter().take_while(is_next);
+            let next = self.wall.near[*n as usize][1..].iter().take_while(is_next);
             next.filter(|other| lost.binary_search(other).is_ok()).take(LOST).count() < LOST
         };
         if lost.len() >= LOST {
@@ -209,11 +243,10 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
     }
 
     fn window(&self, field: F, members: Vec<u32>) -> Window<F> {
-        let lit = self.scan.lit.as_ref();
-        let [slopes, _] = field.reading_slopes(lit);
+        let [slopes, _] = field.reading_slopes(&self.way);
         let [noise_m2, law_m2] =
             [field.fitted().noise, field.fitted().law].map(|part| slopes * part * slopes.transpose());
-        Window { point: field.reading(lit).0, noise_m2, law_m2, field, members }
+        Window { point: field.reading(&self.way).0, noise_m2, law_m2, field, members }
     }
 
     /// The field, or that of the other kind, that explains more of a larger window.
@@ -264,7 +297,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         if sizes[at] > FITTED {
             members = self.followers(&field, &self.nearest(side, sizes[at]));
         }
-        Some(Chosen { field, members, lit: self.scan.lit, others })
+        Some(Chosen { field, members: members.into(), way: self.way, others })
     }
 }
 
@@ -310,19 +343,20 @@ impl Reading {
 }
 
 /// What a field alone says.
-fn reading(field: &impl Local, lit: Option<&Point>) -> Reading {
-    let (point, away) = field.reading(lit);
+fn reading(field: &impl Local, way: &Way) -> Reading {
+    let (point, away) = field.reading(way);
     let covariance = field.fitted().noise + field.fitted().law;
     let [covariance_m2, away_covariance] =
-        field.reading_slopes(lit).map(|slopes| slopes * covariance * slopes.transpose());
+        field.reading_slopes(way).map(|slopes| slopes * covariance * slopes.transpose());
     Reading { point, covariance_m2, away, away_covariance }
 }
 
 impl<F: Local> Chosen<F> {
     pub fn reading(&self) -> Reading {
-        let lit = self.lit.as_ref();
-        let Reading { point, mut covariance_m2, away, mut away_covariance } = reading(&self.field, lit);
-        for (share, (other_point, other_away)) in self.others.iter().map(|(share, other)| (share, other.reading(lit))) {
+        let Reading { point, mut covariance_m2, away, mut away_covariance } = reading(&self.field, &self.way);
+        for (share, (other_point, other_away)) in
+            self.others.iter().map(|(share, other)| (share, other.reading(&self.way)))
+        {
             let [off, off_away] = [other_point - point, other_away - away];
             covariance_m2 += off * off.transpose() * *share;
             away_covariance += off_away * off_away.transpose() * *share;
@@ -335,7 +369,7 @@ impl Chosen<Flat> {
     /// The same faces as another place sees them.
     fn seen_from(&self, at: Point) -> Self {
         let others = self.others.iter().map(|(share, other)| (*share, other.seen_from(at))).collect();
-        Self { field: self.field.seen_from(at), members: self.members.clone(), lit: self.lit, others }
+        Self { field: self.field.seen_from(at), members: self.members.clone(), way: self.way, others }
     }
 }
 
@@ -344,7 +378,7 @@ impl Chosen<Flat> {
 pub fn shared(flats: &[Option<Chosen<Flat>>], samples: &[Sample], near: &[Vec<u32>]) -> Vec<Option<Chosen<Flat>>> {
     let mut holders: Vec<Vec<u32>> = vec![Vec::new(); samples.len()];
     for (n, flat) in flats.iter().enumerate() {
-        for member in flat.iter().flat_map(|flat| &flat.members) {
+        for member in flat.iter().flat_map(|flat| &*flat.members) {
             holders[*member as usize].push(n as u32);
         }
     }

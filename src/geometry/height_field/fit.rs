@@ -69,8 +69,8 @@ impl<'a> Problem<'a> {
     }
 
     fn feet(&self, heights_m: &[f64]) -> Vec<Foot> {
-        let nodes = self.grid.points(heights_m);
-        self.places.par_iter().map(|place| self.grid.foot(&nodes, place)).collect()
+        let nodes = self.grid.nodes(heights_m);
+        self.places.par_iter().map(|place| nodes.foot(place)).collect()
     }
 }
 

@@ -1,8 +1,13 @@
 //! Heights over a grid: the triangles between nodes, the point of these next to a place, and curvatures.
 
-use nalgebra::Vector2;
+use std::ops::Range;
+
+use nalgebra::{Vector2, Vector3};
 
 use crate::Point;
+
+/// Rows and columns of a tile.
+const TILE: usize = 8;
 
 /// A grid of nodes, row by row. Between four nodes lie two triangles, whose common side turns from cell to cell.
 #[derive(Clone, Debug)]
@@ -48,32 +53,20 @@ impl Grid {
     }
 
     /// All nodes at their heights.
-    pub fn points(&self, heights_m: &[f64]) -> Vec<Point> {
-        heights_m.iter().enumerate().map(|(node, height_m)| self.point(node, *height_m)).collect()
-    }
-
-    /// The point of the surface next to a place: of the triangles about the nearest of its nodes.
-    pub fn foot(&self, points: &[Point], place: &Point) -> Foot {
-        let mut nearest = (f64::INFINITY, 0);
-        for (node, point) in points.iter().enumerate() {
-            let square = (point - place).norm_squared();
-            if square < nearest.0 {
-                nearest = (square, node);
+    pub fn nodes(&self, heights_m: &[f64]) -> Nodes<'_> {
+        let points: Vec<Point> = heights_m.iter().enumerate().map(|(node, height)| self.point(node, *height)).collect();
+        let corners = |count: usize| (0..count).step_by(TILE);
+        let tile = |row: usize, column: usize| {
+            let rows = row..(row + TILE).min(self.rows);
+            let columns = column..(column + TILE).min(self.columns);
+            let (mut least, mut most) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+            for node in rows.clone().flat_map(|row| columns.clone().map(move |column| row * self.columns + column)) {
+                (least, most) = (least.inf(&points[node].coords), most.sup(&points[node].coords));
             }
-        }
-        let (column, row) = (nearest.1 % self.columns, nearest.1 / self.columns);
-        let mut best: Option<Foot> = None;
-        for row in row.saturating_sub(1)..(row + 1).min(self.rows - 1) {
-            for column in column.saturating_sub(1)..(column + 1).min(self.columns - 1) {
-                for nodes in self.triangles(column, row) {
-                    let foot = foot(nodes.map(|node| points[node as usize]), nodes, place);
-                    if best.is_none_or(|best| foot.distance_m < best.distance_m) {
-                        best = Some(foot);
-                    }
-                }
-            }
-        }
-        best.expect("a grid has cells")
+            Tile { rows, columns, least, most }
+        };
+        let tiles = corners(self.rows).flat_map(|row| corners(self.columns).map(move |column| (row, column)));
+        Nodes { grid: self, tiles: tiles.map(|(row, column)| tile(row, column)).collect(), points }
     }
 
     /// Both triangles of a cell.
@@ -131,6 +124,72 @@ impl Grid {
     }
 }
 
+/// Nodes of a grid at their heights, in tiles: the nearest one to a place is sought in the nearest tiles alone.
+pub struct Nodes<'a> {
+    grid: &'a Grid,
+    points: Vec<Point>,
+    tiles: Vec<Tile>,
+}
+
+/// Rows and columns of nodes, and the ends of what they span.
+struct Tile {
+    rows: Range<usize>,
+    columns: Range<usize>,
+    least: Vector3<f64>,
+    most: Vector3<f64>,
+}
+
+impl Tile {
+    /// Square of a distance that no node of it falls below.
+    fn gap_m2(&self, place: &Point) -> f64 {
+        let nearest = place.coords.sup(&self.least).inf(&self.most);
+        (nearest - place.coords).norm_squared()
+    }
+}
+
+impl Nodes<'_> {
+    /// The nearest node to a place; of some that are equally near the first.
+    pub fn nearest(&self, place: &Point) -> usize {
+        let gaps_m2: Vec<f64> = self.tiles.iter().map(|tile| tile.gap_m2(place)).collect();
+        let first = (0..gaps_m2.len()).min_by(|a, b| gaps_m2[*a].total_cmp(&gaps_m2[*b])).expect("a grid has nodes");
+        let mut nearest = (f64::INFINITY, 0);
+        for n in std::iter::once(first).chain((0..gaps_m2.len()).filter(|n| *n != first)) {
+            // The bound is rounded otherwise than distances are.
+            if gaps_m2[n] > nearest.0 * (1.0 + 1e-12) {
+                continue;
+            }
+            let Tile { rows, columns, .. } = &self.tiles[n];
+            for node in rows.clone().flat_map(|row| columns.clone().map(move |column| row * self.grid.columns + column))
+            {
+                let square = (self.points[node] - place).norm_squared();
+                if (square, node) < nearest {
+                    nearest = (square, node);
+                }
+            }
+        }
+        nearest.1
+    }
+
+    /// The point of the surface next to a place: of the triangles about the nearest of its nodes.
+    pub fn foot(&self, place: &Point) -> Foot {
+        let nearest = self.nearest(place);
+        let Grid { columns, rows, .. } = *self.grid;
+        let (column, row) = (nearest % columns, nearest / columns);
+        let mut best: Option<Foot> = None;
+        for row in row.saturating_sub(1)..(row + 1).min(rows - 1) {
+            for column in column.saturating_sub(1)..(column + 1).min(columns - 1) {
+                for nodes in self.grid.triangles(column, row) {
+                    let foot = foot(nodes.map(|node| self.points[node as usize]), nodes, place);
+                    if best.is_none_or(|best| foot.distance_m < best.distance_m) {
+                        best = Some(foot);
+                    }
+                }
+            }
+        }
+        best.expect("a grid has cells")
+    }
+}
+
 /// A curvature as a sum over up to four nodes.
 #[derive(Clone, Copy, Debug)]
 pub struct Bend {
@@ -176,7 +235,5 @@ fn foot(corners: [Point; 3], nodes: [u32; 3], place: &Point) -> Foot {
 }
 
 fn mixed(corners: &[Point; 3], shares: &[f64; 3]) -> Point {
-    Point::from(
-        corners.iter().zip(shares).map(|(corner, share)| corner.coords * *share).sum::<nalgebra::Vector3<f64>>(),
-    )
+    Point::from(corners.iter().zip(shares).map(|(corner, share)| corner.coords * *share).sum::<Vector3<f64>>())
 }

@@ -149,3 +149,18 @@ fn lengths_without_a_surface_have_none() {
     all.iter_mut().for_each(|one| one.light.length_m += 10.0 * NOISE_M * normal(&mut random));
     assert!(height_fields(&all, &Cancel::never()).is_empty());
 }
+
+/// Tiles that are left out hold no nearer node.
+#[test]
+fn the_nearest_node_is_that_of_all() {
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let grid = Grid::new(Vector2::new(-0.3, -0.2), Vector2::new(0.25, 0.35), 0.02);
+    let heights_m: Vec<f64> = (0..grid.count()).map(|_| 0.05 * normal(&mut random)).collect();
+    let nodes = grid.nodes(&heights_m);
+    for n in 0..400 {
+        let place = Point::new(0.4 * normal(&mut random), 0.4 * normal(&mut random), 0.3 * f64::from(n % 4));
+        let far_m2 = |node: &usize| (grid.point(*node, heights_m[*node]) - place).norm_squared();
+        let nearest = (0..grid.count()).min_by(|a, b| far_m2(a).total_cmp(&far_m2(b))).unwrap();
+        assert_eq!(nodes.nearest(&place), nearest, "{place}");
+    }
+}

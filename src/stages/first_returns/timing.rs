@@ -5,15 +5,15 @@ use rayon::prelude::*;
 
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{Face, Place, Return, Scan, SurfacePoint, surface_points};
+use crate::geometry::first_return::{Face, Lit, Place, Return, Scan, SurfacePoint, surface_points};
 use crate::priors::campaign_fields::Medium;
 use crate::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Rises, STEP, Window};
 
 /// What the histograms of a scan have in common.
 #[derive(Clone, Copy, Debug)]
 pub struct Timing<'a> {
-    /// The lit point; `None` where each seen point is lit itself.
-    pub lit: Option<Point>,
+    /// The lit points; ways between pairs are those of the histograms.
+    pub lit: &'a Lit,
     /// Unit normal of the wall, towards what is hidden.
     pub inwards: Vector3<f64>,
     /// What light travels in.
@@ -25,8 +25,8 @@ pub struct Timing<'a> {
 }
 
 impl Timing<'_> {
-    /// Points of the surface that histograms show, each with the number of its histogram. A histogram is a seen point
-    /// and its bins.
+    /// Points of the surface that histograms show, each with the number of its histogram. A histogram is a seen point,
+    /// or the place midway between a pair that moves together, and its bins.
     #[must_use]
     pub fn points(&self, histograms: &[(Point, Bins<'_>)], cancel: &Cancel) -> Vec<(usize, SurfacePoint)> {
         let rises = self.rises;
@@ -50,7 +50,11 @@ impl Timing<'_> {
             .collect();
         let places = timed.iter().map(|(.., place)| *place).collect();
         let sigma_m = self.medium.path_m(rises.sigma_ps());
-        let scan = Scan { lit: self.lit, inwards: self.inwards, sigma_m, places };
+        let lit = match self.lit {
+            Lit::Apart(halves) => Lit::Apart(timed.iter().map(|(n, ..)| halves[*n]).collect()),
+            other => other.clone(),
+        };
+        let scan = Scan { lit, inwards: self.inwards, sigma_m, places };
         let again = |place: usize, faces: &[Face], length_m: f64| {
             let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
             let faces: Vec<edge::Face> = faces.iter().map(face).collect();
