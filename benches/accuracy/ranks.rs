@@ -1,5 +1,6 @@
 //! Where true positions lie in what `run` states of them, for docs/error-bars.md.
 
+use std::fmt::Write;
 use std::ops::Range;
 
 use super::ranks::{Flaw, Outcome, outcome, rank};
@@ -45,7 +46,8 @@ pub fn print_ranks(seeds: &Range<u64>, only: &[usize]) {
         );
         for (kind, ranks) in [("visible", &visible), ("hidden", &hidden)] {
             let shares: Vec<String> = parts(ranks).iter().map(usize::to_string).collect();
-            counts += &format!("| {}, {kind} | {} | {} |\n", flaw.name(), ranks.len(), shares.join(" | "));
+            writeln!(counts, "| {}, {kind} | {} | {} |", flaw.name(), ranks.len(), shares.join(" | "))
+                .expect("a string");
         }
     }
     let numbers: Vec<String> = (1..=PARTS).map(|part| part.to_string()).collect();

@@ -56,8 +56,8 @@ impl Repeats {
         (factor > 1.0 + BY_CHANCE_SD * MEDIAN_SD / (self.0.len() as f64).sqrt()).then_some(factor)
     }
 
-    /// Variance of a random walk after one unit of time, by the times of all lengths; `None` where there are too few, or
-    /// none.
+    /// Variance of a random walk after one unit of time, by the times of all lengths; `None` where they show none, or
+    /// are too few.
     #[must_use]
     pub fn walk_m2(&self, times: &[Option<f64>]) -> Option<f64> {
         let rate = |difference: &Difference| {

@@ -391,8 +391,8 @@ fn drifting(drift: &Drift, labels: &[Label], mut observations: Vec<Observation>)
     observations
 }
 
-/// Onsets whose variances are larger by a factor. What makes captures scatter made those of the calibration scatter too,
-/// so that all share one more error of this size, with the number `error`.
+/// Onsets whose variances are larger by a factor. What makes captures scatter made those of the calibration scatter
+/// too, so that all share one more error of this size, with the number `error`.
 fn scattered(mut observations: Vec<Observation>, factor: f64, error: usize) -> Vec<Observation> {
     let mut variances_m2: Vec<f64> = observations.iter().map(|observation| observation.sd_m.powi(2)).collect();
     variances_m2.sort_by(f64::total_cmp);

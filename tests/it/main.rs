@@ -55,6 +55,7 @@ mod pulses;
 mod python;
 #[cfg(feature = "query")]
 mod query;
+#[allow(dead_code, reason = "the study uses more of it")]
 mod ranks;
 mod reading_scene;
 mod readings;

@@ -4,6 +4,7 @@
 
 use std::collections::BTreeSet;
 use std::f64::consts::{SQRT_2, TAU};
+use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -127,13 +128,11 @@ impl Instrument {
         let mut flaws = String::new();
         if has(Flaw::Echo) {
             let ratio = size * echo.abs();
-            flaws += &match echo > 0.0 {
-                true => format!("echo = {{ ratio = {ratio:?}, delay_ps = {later_ps:?} }}\n"),
-                false => format!("tail = {{ ratio = {ratio:?}, tau_ps = {later_ps:?} }}\n"),
-            };
+            let (key, time) = if echo > 0.0 { ("echo", "delay_ps") } else { ("tail", "tau_ps") };
+            writeln!(flaws, "{key} = {{ ratio = {ratio:?}, {time} = {later_ps:?} }}").unwrap();
         }
         if has(Flaw::Drift) {
-            flaws += &format!("delay_walk_ps = {:?}\n", size * 20.0 / 24_f64.sqrt());
+            writeln!(flaws, "delay_walk_ps = {:?}", size * 20.0 / 24_f64.sqrt()).unwrap();
         }
         let mut lines = Vec::new();
         if has(Flaw::Slope) {
@@ -217,11 +216,13 @@ fn patches(rng: &mut ChaCha8Rng) -> String {
     let mut text = String::new();
     let mut write = |n: usize, at: Vector3<f64>, facing: Vector3<f64>, size_m: f64, role: &str| {
         let normal = (facing - at).normalize();
-        text += &format!(
+        writeln!(
+            text,
             "[patches.{n}]\nposition_m = [{:.6}, {:.6}, {:.6}]\nnormal = [{:.7}, {:.7}, {:.7}]\nsize_m = {size_m:?}\n\
-             role = '{role}'\n",
+             role = '{role}'",
             at.x, at.y, at.z, normal.x, normal.y, normal.z
-        );
+        )
+        .unwrap();
     };
     let about = |rng: &mut ChaCha8Rng, half: f64| Vector3::from_fn(|_, _| rng.random_range(-half..half));
     for (n, patch) in (1..).zip(scene.patches.values().take(VISIBLE)) {

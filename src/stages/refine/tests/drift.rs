@@ -26,8 +26,7 @@ fn a_delay_that_drifts_is_followed_and_said() {
         |rows: &SolutionRows| procrustes::rotation(&points(&rows.patches, 0), &room, Point::origin(), true).rms_m;
     let stated_m =
         |rows: &SolutionRows| (rows.patches.iter().map(|patch| patch.sd_m.unwrap().powi(2)).sum::<f64>() / 12.0).sqrt();
-    let [(off, stated), (off_without, stated_without)] =
-        [&with, &without].map(|rows| (off_m(rows), stated_m(rows)));
+    let [(off, stated), (off_without, stated_without)] = [&with, &without].map(|rows| (off_m(rows), stated_m(rows)));
     eprintln!("off by {off:.5} m of {stated:.5}, without times {off_without:.5} m of {stated_without:.5}");
     assert!(without.fit.drift_ps.is_none() && without.fit.widened[1] > 3.0, "{:?}", without.fit);
     assert!(
