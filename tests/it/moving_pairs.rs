@@ -120,7 +120,7 @@ fn pairs_that_move_together_show_a_surface() {
     let axes = [0, 1, 2].map(|k| turn * Vector3::ith(k, [0.25, 0.2, 0.0][k]));
     let of_plate = |pair: [Point; 2]| shortest(middle, [axes[0], axes[1]], pair);
     let plate = apart(&cuboid(middle, axes, PITCH_M), half, &of_plate);
-    for (name, (points, held, median_m), most_m) in [("sphere", sphere, 4e-3), ("plate", plate, 8e-3)] {
+    for (name, (points, held, median_m), most_m) in [("sphere", sphere, 4e-3), ("plate", plate, 1.2e-2)] {
         println!("{name}: {held} of {points}, {median_m} m");
         assert!(
             points > 700 && held * 100 > 90 * points && median_m < most_m,

@@ -8,11 +8,11 @@ use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
-use super::Scan;
 use super::field::Field;
 use super::flat::{Flat, Hint};
 use super::local::{Local, Sample};
 use super::way::Way;
+use super::{Lit, Scan};
 use crate::Point;
 use crate::axes::across;
 use crate::neighbours::Cells;
@@ -21,6 +21,8 @@ use crate::neighbours::Cells;
 pub const SIZES: [usize; 11] = [13, 21, 34, 55, 89, 144, 233, 377, 610, 987, 1600];
 /// So many sizes do for curvatures.
 pub const FEW: usize = 7;
+/// So many are tried where lit and seen point are apart: no field is exact for their lengths.
+const APART: usize = 6;
 /// Nearest places that are sought of each place, and where a window needs more.
 const NEAR: usize = 240;
 const MOST: usize = 2000;
@@ -90,6 +92,8 @@ pub fn fields(
     sizes: &[usize],
     cancel: &Cancel,
 ) -> Vec<Option<Chosen<Field>>> {
+    let most = if matches!(scan.lit, Lit::Apart(_)) { APART } else { sizes.len() };
+    let sizes = &sizes[..most.min(sizes.len())];
     let of_place = |n: usize| {
         cancel.check();
         let way = wall.ways[n]?;
