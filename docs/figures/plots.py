@@ -180,6 +180,28 @@ def dots(title, label, rows, groups=(), reference=None, is_log=False, given=None
     return page_of(title, width, bottom + (64 if reference else 48), parts)
 
 
+def ranks(title, rows):
+    """A histogram for each row: its name, and counts in parts of equal probability, with what chance makes of equal ones."""
+    columns, wide, tall, width = 2, 340, 78, 760
+    parts = [text(16, 26, title, "title")]
+    for index, (name, counts) in enumerate(rows):
+        left, top = 24 + index % columns * (wide + 36), 44 + index // columns * (tall + 44)
+        expected, bar = sum(counts) / len(counts), wide / len(counts)
+        scale = tall / max(*counts, 2 * expected)
+        parts.append(text(left, top + 6, name))
+        bottom = top + tall + 16
+        for place, count in enumerate(counts):
+            x, high = round(left + place * bar, 1), round(scale * count, 1)
+            parts.append(f'<rect x="{x}" y="{round(bottom - high, 1)}" width="{round(bar - 2, 1)}" height="{high}" fill="{COLOURS[0]}"/>')
+        for sigmas in (-2, 2):
+            y = round(bottom - scale * (expected + sigmas * math.sqrt(expected * (1 - 1 / len(counts)))), 1)
+            parts.append(line(left, y, left + wide, y, "ref"))
+        parts.append(line(left, bottom, left + wide, bottom))
+    height = 44 + math.ceil(len(rows) / columns) * (tall + 44) + 24
+    parts.append(text(24, height - 12, "dashed: two standard deviations about equal counts", "soft"))
+    return page_of(title, width, height, parts)
+
+
 def lines(title, across, up, series, logs=(False, False), reference=None, given_x=None, given_y=None):
     """A line for each series of (x, (y, least, most))."""
     width, left, right = 760, 70, 736
@@ -328,6 +350,11 @@ def error_bars():
         [(name, [(snrs.index(row[1]), value(row[6])) for row in rows if row[0] == name]) for name in names],
         groups=[f"SNR {snr}" for snr in snrs],
         reference=(0.95, "0.95"),
+    )
+    rows = [row for row in table("error-bars.md", "| instrument | rooms | ranks |") if row[0].endswith(", visible")]
+    yield "error-bars-ranks", ranks(
+        "Ranks of true positions in what is stated of them, in tenths",
+        [(row[0].removesuffix(", visible"), [numbers(cell)[0] for cell in row[3:]]) for row in rows],
     )
 
 

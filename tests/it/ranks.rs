@@ -253,7 +253,8 @@ pub struct Outcome {
     /// and those of hidden ones.
     pub visible: Vec<f64>,
     pub hidden: Vec<f64>,
-    /// Squared errors of visible patches, and their Cramer-Rao bound, for white noise and a known response.
+    /// Squared errors of visible patches, and their Cramer-Rao bound, for white noise and a known response, where the
+    /// expected signal has one.
     pub squares_m2: f64,
     pub bounds_m2: f64,
     /// Patches named as doubtful, or with another place.
@@ -282,7 +283,7 @@ pub fn outcome(flaw: Flaw, seed: u64) -> Outcome {
     }
     let laboratory = Laboratory::new(&scene, 0).unwrap();
     let bound = Bound::of(&laboratory, Use { bounces: 3, ..Use::default() });
-    compare(&lab, |patch| bound.coordinates.sd_m(patch).expect("visible"))
+    compare(&lab, |patch| bound.coordinates.sd_m(patch))
 }
 
 /// The campaign: scene captures of today, response captures of another day.
@@ -315,7 +316,7 @@ fn campaign(flaw: Flaw, seed: u64) -> (Lab, Scene) {
     (lab, today)
 }
 
-fn compare(lab: &Lab, bound_m: impl Fn(i32) -> f64) -> Outcome {
+fn compare(lab: &Lab, bound_m: impl Fn(i32) -> Option<f64>) -> Outcome {
     let truth: Vec<Patch> = lab.truth();
     let rows: Vec<Patch> = lab.rows("out", "all_patches");
     let ambiguities: Vec<Ambiguity> = lab.rows("out", "patches.ambiguities");
@@ -332,12 +333,14 @@ fn compare(lab: &Lab, bound_m: impl Fn(i32) -> f64) -> Outcome {
     let turn = aligning(&points, &targets);
     let errors: Vec<Vector3<f64>> =
         points.iter().zip(&targets).map(|(point, target)| point - turn.transpose() * target).collect();
+    let with_bounds: Vec<(&Vector3<f64>, f64)> =
+        errors.iter().zip(&visible).filter_map(|(error, patch)| Some((error, bound_m(patch.patch)?))).collect();
     let mut open: Vec<Vector3<f64>> =
         truth.iter().filter(|patch| !is_visible(patch)).map(|patch| turn.transpose() * position(patch)).collect();
     let mut outcome = Outcome {
         visible: whitened(&covariance(lab, &visible), &points, &errors),
-        squares_m2: errors.iter().map(Vector3::norm_squared).sum(),
-        bounds_m2: visible.iter().map(|patch| bound_m(patch.patch).powi(2)).sum(),
+        squares_m2: with_bounds.iter().map(|(error, _)| error.norm_squared()).sum(),
+        bounds_m2: with_bounds.iter().map(|(_, bound_m)| bound_m * bound_m).sum(),
         doubtful: doubtful.len(),
         hidden_true: open.len(),
         is_reported: is_reported(&lab.rows("out", "decisions")),
