@@ -118,6 +118,11 @@ fn main() {
         let counts = numbers.get(1).map_or(vec![4, 8], |&hidden| vec![hidden as usize]);
         return print_corner(seeds, &counts);
     }
+    print_scenes(seeds);
+}
+
+/// Visible patches of several scenes, from scope files.
+fn print_scenes(seeds: u64) {
     let scene = |name: &str| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("pipelines/scenes/{name}.toml"));
         std::fs::read_to_string(path).expect("a scene of ours")

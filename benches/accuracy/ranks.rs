@@ -40,7 +40,7 @@ pub fn print_ranks(seeds: &Range<u64>, only: &[usize]) {
             outside(&visible),
             uniform(&visible),
             sum(|room| room.hidden_true),
-            sum(|room| room.found),
+            sum(|room| room.hits),
             sum(|room| room.phantoms),
             outside(&hidden),
         );

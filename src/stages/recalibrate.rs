@@ -212,8 +212,8 @@ fn ready<'a>(
     Some((profile, flight))
 }
 
-/// The row with another response. Its arrival stays where it was, since no profile shows it: it is known to half of what
-/// the response became wider or narrower.
+/// The row with another response. Its arrival stays where it was, since no profile shows it: it is known to half of
+/// what the response became wider or narrower.
 fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response, own: &OwnResponse) -> Calibration {
     let (first_ps, last_ps) = response.support_ps();
     let (first, last) = ((first_ps / row.step_ps).floor(), (last_ps / row.step_ps).ceil());

@@ -261,7 +261,7 @@ pub struct Outcome {
     pub doubtful: usize,
     /// True hidden patches, those that were found, and those that are none.
     pub hidden_true: usize,
-    pub found: usize,
+    pub hits: usize,
     pub phantoms: usize,
     /// Whether the program reports what it cannot explain: `fit`, `waveforms` or the response, in `decisions`.
     pub is_reported: bool,
@@ -352,7 +352,7 @@ fn compare(lab: &Lab, bound_m: impl Fn(i32) -> Option<f64>) -> Outcome {
             outcome.phantoms += 1;
             continue;
         };
-        outcome.found += 1;
+        outcome.hits += 1;
         let error = at - open.remove(n);
         if let Some(covariance) = covariance_m2(patch).filter(|_| !doubtful.contains(&patch.patch)) {
             let whitened = covariance.cholesky().expect("a covariance").l().solve_lower_triangular(&error);
