@@ -141,11 +141,11 @@ pub fn noisy(seed: u64, noise_ps: f64, rank: bool) -> Noisy {
     let by_rank = solved.replace("bounces = 5", "bounces = 3, hidden = \"rank\"");
     assert_ne!(by_rank, solved);
     let solved = if rank { by_rank } else { solved };
-    let import = |table: &str| {
+    let import = |heading: &str, table: &str| {
         let path = lab.path(&format!("{table}.parquet"));
-        format!("[{table}]\nstage = 'import'\nparams = {{ table = '{table}', path = '{}' }}\n", path.display())
+        format!("[{heading}]\nstage = 'import'\nparams = {{ table = '{table}', path = '{}' }}\n", path.display())
     };
-    let import = import("onsets") + &import("calibration");
+    let import = import("onsets", "onsets") + &import("scene_calibration", "calibration");
     if let Err(error) = lab.run("out", &(import + &solved), &Settings::default()) {
         assert!(matches!(error, RunError::Stage { .. }), "{error}");
         return Noisy { errors_m: vec![None; points.len() - VISIBLE], extra: 0, refused: true, off_plane_m: None };

@@ -110,7 +110,7 @@ fn solve(lab: &Lab, room: &Room, bounds_m2: &[f64], choice: Choice) -> Outcome {
             let onsets: Vec<Onset> = lab.rows("wide-onsets", "onsets");
             let whole = onsets.into_iter().map(|onset| Onset { pair_gain: None, ..onset });
             write_table(&lab.path("onsets.parquet"), &whole.collect::<Vec<_>>());
-            let imports = import(lab, "calibration", "calibration", "calibration.parquet")
+            let imports = import(lab, "scene_calibration", "calibration", "calibration.parquet")
                 + &import(lab, "onsets", "onsets", "onsets.parquet");
             lab.run(&out, &(imports + "[anchors]" + rest), &Settings::default())
         }
