@@ -156,7 +156,7 @@ fn raw_traces_that_are_not_kept_other_parameters_seals_and_rejects() {
     fs::write(&broken, &bytes[..bytes.len() / 2]).unwrap();
     printed(&lab, &["seal", "campaign"]);
     let set = ["--set", "traces.keep=false"];
-    let other = ["--set", "traces.keep=false", "--set", "draft_stir.impulses_max=12"];
+    let other = ["--set", "traces.keep=false", "--set", "profiles.outlier_sigma=7"];
     for (more, parts) in [(&set[..], 28), (&other[..], 28)] {
         let lines = plan(&lab, "out", "5", more);
         let made = run_all(&lab, lines.keys(), "out");
