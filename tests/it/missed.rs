@@ -56,37 +56,37 @@ pub fn missed(patches: &[Patch], covariances: &[PatchCovariance], truth: &[Patch
     let (points, targets): (Vec<_>, Vec<_>) =
         (patches.iter().map(position).collect(), truth.iter().map(position).collect());
     let turn = aligning(&points, &targets);
-    let errors: Vec<Vector3<f64>> = points.iter().zip(&targets).map(|(point, target)| turn * point - target).collect();
-    let place = |patch: i32| {
-        patches.iter().position(|row| row.patch == patch).expect("covariances are of patches that were found")
-    };
-    let mut covariance = DMatrix::zeros(3 * patches.len(), 3 * patches.len());
-    let mut put = |a: usize, b: usize, block: Matrix3<f64>| {
-        covariance.view_mut((3 * a, 3 * b), (3, 3)).copy_from(&(turn * block * turn.transpose()))
-    };
-    for (a, row) in patches.iter().enumerate() {
-        let [xx, xy, xz, yy, yz, zz] =
-            [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2]
-                .map(|value| value.expect("refined"));
-        put(a, a, Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
-    }
-    for row in covariances {
-        let block = Matrix3::new(
-            row.cov_xx_m2,
-            row.cov_xy_m2,
-            row.cov_xz_m2,
-            row.cov_yx_m2,
-            row.cov_yy_m2,
-            row.cov_yz_m2,
-            row.cov_zx_m2,
-            row.cov_zy_m2,
-            row.cov_zz_m2,
-        );
-        put(place(row.a), place(row.b), block);
-        put(place(row.b), place(row.a), block.transpose());
-    }
+    let errors: Vec<Vector3<f64>> =
+        points.iter().zip(&targets).map(|(point, target)| point - turn.transpose() * target).collect();
+    let covariance = covariance_m2(&patches.iter().collect::<Vec<_>>(), covariances);
     let error = DVector::from_iterator(3 * errors.len(), errors.iter().flat_map(|error| [error.x, error.y, error.z]));
     let unknown = 3 * patches.len() - degrees_of_freedom(truth);
     let normalised = (error.transpose() * pseudo_inverse(&covariance, unknown) * &error)[(0, 0)];
     Missed { squares_m2: errors.iter().map(Vector3::norm_squared).sum(), normalised }
+}
+
+/// Covariance of these patches together.
+pub fn covariance_m2(patches: &[&Patch], covariances: &[PatchCovariance]) -> DMatrix<f64> {
+    let mut covariance = DMatrix::zeros(3 * patches.len(), 3 * patches.len());
+    let mut put = |a: usize, b: usize, block: Matrix3<f64>| {
+        covariance.view_mut((3 * a, 3 * b), (3, 3)).copy_from(&block);
+        covariance.view_mut((3 * b, 3 * a), (3, 3)).copy_from(&block.transpose());
+    };
+    for (n, row) in patches.iter().enumerate() {
+        let [xx, xy, xz, yy, yz, zz] =
+            [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2, row.cov_yy_m2, row.cov_yz_m2, row.cov_zz_m2]
+                .map(|value| value.expect("refined"));
+        put(n, n, Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
+    }
+    let place = |number: i32| patches.iter().position(|patch| patch.patch == number);
+    for row in covariances {
+        let Some((a, b)) = place(row.a).zip(place(row.b)) else { continue };
+        let block = [
+            [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2],
+            [row.cov_yx_m2, row.cov_yy_m2, row.cov_yz_m2],
+            [row.cov_zx_m2, row.cov_zy_m2, row.cov_zz_m2],
+        ];
+        put(a, b, Matrix3::from_fn(|i, j| block[i][j]));
+    }
+    covariance
 }

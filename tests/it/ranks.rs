@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{DMatrix, DVector, Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
 use periscope::bound::{Bound, Use};
 use periscope::pipeline::run::Settings;
 use periscope::simulate::{Format, Laboratory, Scene};
@@ -20,7 +20,7 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::claims::flicker;
 use crate::drift::covariance_m2;
 use crate::lab::{Lab, chain};
-use crate::missed::{aligning, position};
+use crate::missed::{self, aligning, position};
 use crate::shape::erfc;
 
 const PIPELINE: &str = include_str!("../../pipelines/scene.toml");
@@ -333,12 +333,17 @@ fn compare(lab: &Lab, bound_m: impl Fn(i32) -> Option<f64>) -> Outcome {
     let turn = aligning(&points, &targets);
     let errors: Vec<Vector3<f64>> =
         points.iter().zip(&targets).map(|(point, target)| point - turn.transpose() * target).collect();
+    let covariances: Vec<PatchCovariance> = lab
+        .rows("out", "patches.patch_covariances")
+        .into_iter()
+        .filter(|row: &PatchCovariance| row.alternative == 0)
+        .collect();
     let with_bounds: Vec<(&Vector3<f64>, f64)> =
         errors.iter().zip(&visible).filter_map(|(error, patch)| Some((error, bound_m(patch.patch)?))).collect();
     let mut open: Vec<Vector3<f64>> =
         truth.iter().filter(|patch| !is_visible(patch)).map(|patch| turn.transpose() * position(patch)).collect();
     let mut outcome = Outcome {
-        visible: whitened(&covariance(lab, &visible), &points, &errors),
+        visible: whitened(&missed::covariance_m2(&visible, &covariances), &points, &errors),
         squares_m2: with_bounds.iter().map(|(error, _)| error.norm_squared()).sum(),
         bounds_m2: with_bounds.iter().map(|(_, bound_m)| bound_m * bound_m).sum(),
         doubtful: doubtful.len(),
@@ -368,30 +373,6 @@ fn is_reported(decisions: &[Decision]) -> bool {
         response if response.starts_with("response of") => !row.chosen.starts_with("as wide as calibrated"),
         _ => false,
     })
-}
-
-/// Covariance of these patches together, m^2.
-fn covariance(lab: &Lab, patches: &[&Patch]) -> DMatrix<f64> {
-    let place = |number: i32| patches.iter().position(|patch| patch.patch == number);
-    let mut covariance = DMatrix::zeros(3 * patches.len(), 3 * patches.len());
-    let mut put = |a: usize, b: usize, block: Matrix3<f64>| {
-        covariance.view_mut((3 * a, 3 * b), (3, 3)).copy_from(&block);
-        covariance.view_mut((3 * b, 3 * a), (3, 3)).copy_from(&block.transpose());
-    };
-    for (n, patch) in patches.iter().enumerate() {
-        put(n, n, covariance_m2(patch).expect("patches without one are left out"));
-    }
-    for row in lab.rows::<PatchCovariance>("out", "patches.patch_covariances").iter().filter(|row| row.alternative == 0)
-    {
-        let Some((a, b)) = place(row.a).zip(place(row.b)) else { continue };
-        let block = [
-            [row.cov_xx_m2, row.cov_xy_m2, row.cov_xz_m2],
-            [row.cov_yx_m2, row.cov_yy_m2, row.cov_yz_m2],
-            [row.cov_zx_m2, row.cov_zy_m2, row.cov_zz_m2],
-        ];
-        put(a, b, Matrix3::from_fn(|i, j| block[i][j]));
-    }
-    covariance
 }
 
 /// Errors along the directions in which they are independent, over their standard deviations; turns about the laser
