@@ -12,7 +12,7 @@ const PARTS: usize = 10;
 /// Rooms and instruments at random; of these cells all or those named, counted from 0.
 pub fn print_ranks(seeds: &Range<u64>, only: &[usize]) {
     println!(
-        "| instrument | rooms | no solution | reported | doubtful patches | rms / bound | squared error / covariance | ranks outside 95 % | uniform: p | hidden: true, found, made up | ranks outside 95 % |"
+        "| instrument | rooms | no solution | reported | doubtful patches | rms / bound | squared error / covariance | ranks outside 95 % | uniform: p | hidden: true, found, made up | hidden, ranks outside 95 % |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
     let mut counts = String::new();
@@ -46,12 +46,13 @@ pub fn print_ranks(seeds: &Range<u64>, only: &[usize]) {
         );
         for (kind, ranks) in [("visible", &visible), ("hidden", &hidden)] {
             let shares: Vec<String> = parts(ranks).iter().map(usize::to_string).collect();
-            writeln!(counts, "| {}, {kind} | {} | {} |", flaw.name(), ranks.len(), shares.join(" | "))
-                .expect("a string");
+            let row =
+                format!("| {}, {kind} | {} | {} | {} |", flaw.name(), rooms.len(), ranks.len(), shares.join(" | "));
+            writeln!(counts, "{row}").expect("a string");
         }
     }
     let numbers: Vec<String> = (1..=PARTS).map(|part| part.to_string()).collect();
-    println!("\n| ranks in tenths | all | {} |\n|{}\n{counts}", numbers.join(" | "), "---|".repeat(PARTS + 2));
+    println!("\n| instrument | rooms | ranks | {} |\n|{}\n{counts}", numbers.join(" | "), "---|".repeat(PARTS + 3));
 }
 
 fn outside(ranks: &[f64]) -> Rate {
