@@ -81,27 +81,114 @@ fn subtract(values: &[f64], own: f64, mean: &[f64], differences: &mut [f64], squ
     );
 }
 
-/// Variance over shots of their times, in samples squared: of how far each lies from the mean as a whole, by least
-/// squares with the mean's slope at the places that are `clear`. Jitter makes no less of it, and whatever else adds to
-/// the spread where the mean is steep hardly does, as where a pulse is too fast for its sampling.
+/// What is each shot's own: its difference from the mean without what its phase makes of it.
 ///
-/// # Panics
-/// With fewer than two shots, and as [`Spread::of`].
-#[must_use]
-pub fn moves(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, clear: &[bool]) -> f64 {
-    assert!(shots.len() >= 2, "one shot has no variance");
-    let mut squares = 0.0;
-    compare(shots, mean, dark, |Compared { at, own, values, moved, from }| {
-        let (mut along, mut steep) = (0.0, 0.0);
-        for (n, value) in values.iter().enumerate().filter(|(n, _)| clear[at + n]) {
-            let place = from + n;
-            let slope = 0.5 * (moved[(place + 1).min(moved.len() - 1)] - moved[place.saturating_sub(1)]);
-            along += slope * (value - own - moved[place]);
-            steep += slope * slope;
-        }
-        squares += if steep > 0.0 { (along / steep).powi(2) } else { 0.0 };
-    });
-    squares / (shots.len() - 1) as f64
+/// Where a pulse is too fast for its sampling, no filter moves the mean to where a shot lies. What is missing is a
+/// function of the phase, the same in all shots, and would pass for noise that grows with the light. So each difference
+/// is compared with the straight line through its two neighbours in phase (Gasser, Sroka and Jennen-Steinmetz,
+/// *Residual variance and residual pattern in nonlinear regression*, 1986). Phases are a circle: a turn is one place.
+#[derive(Clone, Debug)]
+pub struct OwnNoise {
+    /// By shot: its place in a sample, and its noise from the mean's first place on, scaled to the variance of a shot;
+    /// NaN where a neighbour has no sample.
+    shots: Vec<(f64, Vec<f64>)>,
+}
+
+impl OwnNoise {
+    /// Share of shots that would say as much of their variance directly: three quarters of what Gasser, Sroka and
+    /// Jennen-Steinmetz find for equal distances.
+    pub const SHARE: f64 = 0.75 * 18.0 / 35.0;
+
+    /// From the `differences` of shots from their mean, offsets apart, whose positions are in 1/64 sample.
+    ///
+    /// # Panics
+    /// When there are not as many differences as positions.
+    #[must_use]
+    pub fn of(differences: &[Vec<f64>], positions: &[i64]) -> Self {
+        assert_eq!(differences.len(), positions.len(), "each shot has a position");
+        let mut order: Vec<usize> = (0..positions.len()).collect();
+        order.sort_by_key(|shot| phase(positions[*shot]));
+        let mut neighbours: Vec<Neighbours> = (0..order.len()).map(|n| Neighbours::of(&order, n, positions)).collect();
+        // What a line misses grows with both gaps: a few wide ones would make most of it.
+        neighbours.sort_by_key(|one| one.gaps[0] * one.gaps[1]);
+        neighbours.truncate((neighbours.len() * 3).div_ceil(4));
+        let own = |one: &Neighbours| (phase(positions[one.shot]) as f64 / PHASES as f64, one.noise(differences));
+        Self { shots: neighbours.iter().map(own).collect() }
+    }
+
+    /// Variance of a shot at each of the mean's `places`; NaN where no shot has a sample.
+    #[must_use]
+    pub fn variances(&self, places: usize) -> Vec<f64> {
+        let of_place = |place: usize| {
+            let values =
+                self.shots.iter().filter_map(|(_, values)| values.get(place)).filter(|value| value.is_finite());
+            let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
+            if count > 0 { sum / f64::from(count) } else { f64::NAN }
+        };
+        (0..places).map(of_place).collect()
+    }
+
+    /// Variance of the shots' times, in samples squared: how far each moves as a whole, by least squares with the slope
+    /// of the `mean` at the places that are `clear`.
+    #[must_use]
+    pub fn moves(&self, mean: &[f64], clear: &[bool]) -> f64 {
+        let slope = |place: usize| 0.5 * (mean[(place + 1).min(mean.len() - 1)] - mean[place.saturating_sub(1)]);
+        let slopes: Vec<f64> = (0..mean.len()).map(slope).collect();
+        let square = |(fraction, values): &(f64, Vec<f64>)| {
+            let (mut along, mut steep) = (0.0, 0.0);
+            for (place, value) in values.iter().enumerate().take(mean.len() - 1) {
+                if value.is_finite() && clear[place] {
+                    let slope = slopes[place] + fraction * (slopes[place + 1] - slopes[place]);
+                    along += slope * value;
+                    steep += slope * slope;
+                }
+            }
+            if steep > 0.0 { (along / steep).powi(2) } else { 0.0 }
+        };
+        self.shots.iter().map(square).sum::<f64>() / self.shots.len() as f64
+    }
+}
+
+/// A shot and its neighbours in phase.
+struct Neighbours {
+    shot: usize,
+    before: usize,
+    after: usize,
+    /// Distances in phase to both, 1/64 sample.
+    gaps: [i64; 2],
+    /// Places by which their like lies later than the shot's: the first shot's neighbour before it lies a turn earlier.
+    later: [i64; 2],
+}
+
+impl Neighbours {
+    /// Of the n-th shot in the `order` of phases.
+    fn of(order: &[usize], n: usize, positions: &[i64]) -> Self {
+        let count = order.len();
+        let [before, shot, after] = [n + count - 1, n, n + 1].map(|n| order[n % count]);
+        let later = [i64::from(n == 0), -i64::from(n + 1 == count)];
+        let turn = PHASES as i64;
+        let [earliest, own, latest] = [before, shot, after].map(|shot| phase(positions[shot]));
+        Self { shot, before, after, gaps: [own - earliest + turn * later[0], latest - own - turn * later[1]], later }
+    }
+
+    /// The shot's difference from the mean less the line through those of its neighbours, scaled to a shot's variance.
+    fn noise(&self, differences: &[Vec<f64>]) -> Vec<f64> {
+        let [before, after] = self.gaps.map(|gap| gap as f64);
+        let share = if before + after > 0.0 { after / (before + after) } else { 0.5 };
+        let scale = (1.0 + share * share + (1.0 - share) * (1.0 - share)).sqrt().recip();
+        let at = |shot: usize, place: i64| differences[shot].get(usize::try_from(place).ok()?);
+        let noise = |(place, value): (i64, &f64)| {
+            let earlier = at(self.before, place + self.later[0])?;
+            let later = at(self.after, place + self.later[1])?;
+            Some(scale * (value - share * earlier - (1.0 - share) * later))
+        };
+        (0..).zip(&differences[self.shot]).map(|one| noise(one).unwrap_or(f64::NAN)).collect()
+    }
+}
+
+/// Where between two places a shot lies, in 1/64 sample.
+fn phase(position: i64) -> i64 {
+    position.rem_euclid(PHASES as i64)
 }
 
 /// A shot beside the mean.
@@ -297,24 +384,48 @@ mod tests {
         }
     }
 
-    /// Jitter is seen in full. A pulse that is too fast for its sampling, whose shots differ by far more than noise
-    /// where it is steep, shows nearly none.
+    /// Jitter is seen in full, and noise at its size; a pulse that is too fast for its sampling adds next to nothing to
+    /// either, where shots differ from the mean by many times their noise.
     #[test]
-    fn only_shots_that_move_have_jitter() {
+    fn a_pulse_too_fast_for_its_sampling_is_no_noise() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        for (width, jitter, [least, most]) in [(2.5, 0.1, [0.8, 1.25]), (0.7, 0.1, [0.7, 1.6]), (0.7, 0.0, [0.0, 0.6])]
-        {
-            let variance = |rng: &mut ChaCha8Rng| {
+        for (width, jitter, least, most) in [(2.5, 0.1, 0.8, 1.25), (0.7, 0.1, 0.7, 1.6), (0.7, 0.0, 0.0, 0.15)] {
+            let mut both = |rng: &mut ChaCha8Rng| {
                 let shots = pulses(width, jitter, rng);
                 let views: Vec<(Codes<'_>, i64)> = shots.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
                 let mut sums = crate::average::PhaseSums::new(200);
                 views.iter().for_each(|(codes, at)| sums.add(*codes, *at));
                 let mean = sums.finish().expect("shots overlap");
-                moves(&views, &mean, &Dark::at_start(32), &vec![true; mean.mean.len()])
+                let positions: Vec<i64> = shots.iter().map(|(_, at)| *at).collect();
+                let own = OwnNoise::of(&crate::dark::differences(&views, &mean), &positions);
+                let largest = |variances: &[f64]| variances[80..120].iter().copied().fold(0.0, f64::max);
+                let spread = Spread::of(&views, &mean, &Dark::at_start(32));
+                let ratio = largest(&spread.variances) / largest(&own.variances(mean.mean.len()));
+                [own.moves(&mean.mean, &vec![true; mean.mean.len()]), ratio]
             };
-            let seen = ((0..40).map(|_| variance(&mut rng)).sum::<f64>() / 40.0).sqrt();
-            println!("width {width}, jitter {jitter}: {seen:.4}");
+            let rounds: Vec<[f64; 2]> = (0..40).map(|_| both(&mut rng)).collect();
+            let mean = |of: usize| rounds.iter().map(|round| round[of]).sum::<f64>() / 40.0;
+            let (seen, ratio) = (mean(0).sqrt(), mean(1));
+            println!("width {width}, jitter {jitter}: {seen:.4}, variance of the mean's differences {ratio:.1} times");
             assert!((least * 0.1..most * 0.1).contains(&seen), "{width} {jitter}: {seen}");
+            assert!(jitter > 0.0 || ratio > 30.0, "{ratio}");
+        }
+    }
+
+    /// White noise of one code has a variance of one, whatever the phases are.
+    #[test]
+    fn own_noise_has_the_variance_of_a_shot() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        for phases in [1, 3, PHASES as i64] {
+            let mut variances = Vec::new();
+            for _ in 0..40 {
+                let positions: Vec<i64> = (0..HEAD_SHOTS).map(|_| rng.random_range(0..phases)).collect();
+                let noise = |_: &i64| (0..100).map(|_| StandardNormal.sample(&mut rng)).collect();
+                let differences: Vec<Vec<f64>> = positions.iter().map(noise).collect();
+                variances.extend(OwnNoise::of(&differences, &positions).variances(100));
+            }
+            let mean = variances.iter().sum::<f64>() / variances.len() as f64;
+            assert!((mean - 1.0).abs() < 0.02, "{phases} phases: {mean}");
         }
     }
 

@@ -1,12 +1,12 @@
 //! What the first shots of a range say of its noise: standard deviation, autocorrelation, and the variance of a record
 //! as a function of level and slope ([`noise_model`]); and what is slower than these describe ([`slow_noise`]).
 
-use crate::signal::average::Mean;
+use crate::signal::average::{Mean, PHASES};
 use crate::signal::codes::Codes;
 use crate::signal::dark::{self, Dark};
 use crate::signal::noise;
 use crate::signal::noise_model::{self, NoiseModel};
-use crate::signal::shot_spread::{self, Spread};
+use crate::signal::shot_spread::{self, OwnNoise, Spread};
 use crate::signal::slow_noise::SlowNoise;
 use crate::tables::Trace;
 
@@ -78,16 +78,46 @@ impl Judges<'_> {
         Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
     }
 
-    /// The model with no more jitter than the shots move by as a whole. Where a strong pulse is too fast for its
-    /// sampling, shots differ from the mean by more than noise, and most where it is steep.
-    fn without_false_jitter(&self, model: NoiseModel) -> NoiseModel {
-        let mut values = model.values;
-        if is_claimed(values[JITTER], &model, JITTER, 1.0) {
-            let moves = shot_spread::moves(self.shots, self.mean, self.dark, self.clear);
-            let most = MOVES_MAX * moves * self.first.dt_ps * self.first.dt_ps;
-            values[JITTER] = values[JITTER].min(most);
+    /// Variance of a record as a function of level and slope. What grows with the light may come from pulses that are too
+    /// fast for their sampling: then shots are compared with those of nearly the same phase.
+    fn model(&self, slow: Option<&Slow>) -> Option<NoiseModel> {
+        let gain_v = self.first.gain_v.abs();
+        let mean_v: Vec<f64> = self.mean.mean.iter().map(|code| (code - self.level) * gain_v).collect();
+        let fit = |variances: &[f64], shots: usize| {
+            let variance_v2 = |(square, clear): (&f64, &bool)| if *clear { square * gain_v * gain_v } else { f64::NAN };
+            let variance_v2: Vec<f64> = variances.iter().zip(self.clear).map(variance_v2).collect();
+            let dt_ps = self.first.dt_ps;
+            noise_model::fit(&noise_model::Spread { mean_v: &mean_v, variance_v2: &variance_v2, shots, dt_ps })
+        };
+        let model = fit(&self.variances(slow), self.shots.len())?;
+        let grows = [LEVEL, ENERGY, JITTER].iter().any(|term| is_claimed(model.values[*term], &model, *term, 1.0));
+        let phase = |position: i64| position.rem_euclid(PHASES as i64);
+        let has_phases = self.shots.iter().any(|(_, position)| phase(*position) != phase(self.shots[0].1));
+        if !grows || !has_phases {
+            return Some(model);
         }
-        NoiseModel { values, ..model }
+        let positions: Vec<i64> = self.shots.iter().map(|(_, position)| *position).collect();
+        let own = match slow {
+            Some(slow) => OwnNoise::of(&slow.fast, &positions),
+            None => OwnNoise::of(&self.differences(), &positions),
+        };
+        let shots = (OwnNoise::SHARE * self.shots.len() as f64) as usize;
+        let mut model = fit(&own.variances(mean_v.len()), shots.max(2))?;
+        let moves_ps2 = own.moves(&self.mean.mean, self.clear) * self.first.dt_ps * self.first.dt_ps;
+        model.values[JITTER] = model.values[JITTER].min(MOVES_MAX * moves_ps2);
+        Some(model)
+    }
+
+    /// Each shot less the mean, offsets apart.
+    fn differences(&self) -> Vec<Vec<f64>> {
+        let mut differences = dark::differences(self.shots, self.mean);
+        let range = self.dark.of_mean(self.mean);
+        for values in &mut differences {
+            let stretch = &values[range.start.min(values.len())..range.end.min(values.len())];
+            let own = stretch.iter().sum::<f64>() / stretch.len().max(1) as f64;
+            values.iter_mut().for_each(|value| *value -= own);
+        }
+        differences
     }
 
     /// Variance over shots at each place of the mean, codes squared.
@@ -123,22 +153,10 @@ impl Slow {
 impl Noise {
     /// Of what the judges show: `stretches` of noise of theirs, and their `slow` noise.
     pub fn of(judges: &Judges<'_>, stretches: &[Vec<f64>], slow: Option<Slow>) -> Self {
-        let Judges { shots, mean, level, clear, first, .. } = judges;
+        let Judges { shots, first, .. } = judges;
         let noise = noise::estimate(stretches, ACF_LAGS);
         let gain_v = first.gain_v.abs();
-        let model = (shots.len() >= MODEL_SHOTS_MIN).then(|| {
-            let variance_v2 = |(square, clear): (f64, &bool)| if *clear { square * gain_v * gain_v } else { f64::NAN };
-            let variance_v2: Vec<f64> =
-                judges.variances(slow.as_ref()).into_iter().zip(*clear).map(variance_v2).collect();
-            let mean_v: Vec<f64> = mean.mean.iter().map(|code| (code - level) * gain_v).collect();
-            let spread = noise_model::Spread {
-                mean_v: &mean_v,
-                variance_v2: &variance_v2,
-                shots: shots.len(),
-                dt_ps: first.dt_ps,
-            };
-            noise_model::fit(&spread).map(|model| judges.without_false_jitter(model))
-        });
+        let model = (shots.len() >= MODEL_SHOTS_MIN).then(|| judges.model(slow.as_ref())).flatten();
         let slow_v2 = |slow: Slow| slow.variances.iter().map(|variance| variance * gain_v * gain_v).collect();
         let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
         let step = if is_whole { shot_spread::step(shots).max(1.0) } else { 0.0 };
@@ -149,7 +167,7 @@ impl Noise {
             sd_v: noise.sd * gain_v,
             acf: noise.acf,
             samples: stretches.iter().map(Vec::len).sum(),
-            model: model.flatten(),
+            model,
             slow_v2: slow.map(slow_v2),
             rounding_v2: rounding * gain_v * gain_v,
         }
