@@ -329,6 +329,7 @@ impl Shots {
             width_sd_ps: estimate.width_sd_ps,
             scene_width: None,
             scene_width_sd: None,
+            scene_tail: None,
             scene_evidence: None,
         })
     }

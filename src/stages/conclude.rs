@@ -19,6 +19,7 @@
 //! | pulse shapes | onsets that are wider than the response, and how many blend |
 //! | waveforms | onsets: in how many profiles pulses, noise and baseline explain the samples |
 //! | response of a sensor | onsets: the width that its pulses have, against the calibration's |
+//! | echoes of a sensor | `calibration` of `recalibrate`: light behind the response that the response captures lack |
 //! | vertical ranges | onsets by range |
 //! | hidden things, response, gate | `searches`: the verdict of `locate` |
 //! | image | `images`: how far the brightest voxel exceeds noise |
@@ -45,6 +46,7 @@
 //! with.planes = "planes"
 //! with.footprints = "patches.footprints"
 //! with.scenes = "labels.scenes"
+//! with.calibration = "scene_calibration"
 //! ```
 
 mod relay_wall;
@@ -63,8 +65,8 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::{Campaign, count};
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
-    Ambiguity, Decision, Fit, Hypothesis, Image, JointSearch, Label, Mesh, Name, ONSET_KINDS, Onset, Patch,
-    PatchFootprint, Plane, SceneOdds, Shape, SurfacePoint,
+    Ambiguity, Calibration, Decision, Fit, Hypothesis, Image, JointSearch, Label, Mesh, Name, ONSET_KINDS, Onset,
+    Patch, PatchFootprint, Plane, SceneOdds, Shape, SurfacePoint,
 };
 
 /// Bounces of the last light that all rooms show.
@@ -88,6 +90,7 @@ pub struct Context {
     planes: Vec<Plane>,
     footprints: Vec<PatchFootprint>,
     scenes: Vec<SceneOdds>,
+    calibration: Vec<Calibration>,
     /// Of `search`; `None` where it did not run.
     weak: Option<Vec<Hypothesis>>,
     searches: Vec<JointSearch>,
@@ -102,7 +105,7 @@ pub struct Context {
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 12;
+    const VERSION: u32 = 13;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -113,6 +116,7 @@ impl Stage for Conclude {
         Beside { name: "planes", table: "planes", required: false },
         Beside { name: "footprints", table: "footprints", required: false },
         Beside { name: "scenes", table: "scenes", required: false },
+        Beside { name: "calibration", table: "calibration", required: false },
         Beside { name: "weak", table: "hypotheses", required: false },
         Beside { name: "searches", table: "searches", required: false },
         Beside { name: "images", table: "images", required: false },
@@ -146,6 +150,7 @@ impl Stage for Conclude {
             planes: beside.rows("planes")?.unwrap_or_default(),
             footprints: beside.rows("footprints")?.unwrap_or_default(),
             scenes: beside.rows("scenes")?.unwrap_or_default(),
+            calibration: beside.rows("calibration")?.unwrap_or_default(),
             weak: beside.rows("weak")?,
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
@@ -191,6 +196,7 @@ impl Context {
         decisions.extend(self.ambiguities.iter().filter(|one| &*one.kind != "rotation").map(other_solution));
         decisions.extend([self.frame(), self.coplanar(best), self.sizes(), self.pulse_shapes()]);
         decisions.extend(waveforms::decisions(&self.onsets));
+        decisions.extend(self.calibration.iter().filter_map(waveforms::tail));
         decisions.extend(self.ranges());
         decisions
     }

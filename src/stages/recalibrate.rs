@@ -9,10 +9,10 @@
 //! from profile to profile: patches that spread light each in their own way are no property of the sensor.
 //!
 //! Takes `profiles` and `calibration`; writes `calibration` of the sensors that it has profiles of, with
-//! `scene_width`, `scene_width_sd` and `scene_evidence` where it corrected one. Set `extent_max_ps` as in
-//! `deconvolve`: where light may be spread in time, only a narrower response is sought. At most [`PROFILES_MAX`]
-//! profiles of a sensor and range are used, the first ones. An `ingest` of its own with `captures_max` keeps the rest
-//! of the pipeline streaming.
+//! `scene_width`, `scene_width_sd`, `scene_tail` and `scene_evidence` where it corrected one. Set `extent_max_ps` as in
+//! `deconvolve`: where light may be spread in time, a wider response is not sought, nor echoes next to the maximum. At
+//! most [`PROFILES_MAX`] profiles of a sensor and range are used, the first ones. An `ingest` of its own with
+//! `captures_max` keeps the rest of the pipeline streaming.
 //!
 //! Not modelled: counters, steps, and responses that change through a session stay as they are. A response that arrives
 //! earlier or later as a whole looks like a latency. Bounces that follow the first one by the same time with the same
@@ -48,9 +48,10 @@ use crate::tables::{Calibration, Name, Profile, Session};
 /// Most profiles of a sensor and range that are used.
 pub const PROFILES_MAX: usize = 256;
 
-/// Rounds, and what a pulse must be worth in each as a share of the strongest: what an error of the response makes of
-/// this one is less at first, and is corrected before it could be taken for light.
-const LEAST_SHARES: [f64; 4] = [1e-2, 1e-3, 0.0, 0.0];
+/// Rounds: what a pulse must be worth in each as a share of the strongest, and whether the width alone is sought. What
+/// an error of the response makes of the strongest is less at first, and is corrected before it could be taken for
+/// light; a width that is off is corrected before what is not linear in it could be taken for echoes.
+const ROUNDS: [(f64, bool); 6] = [(1e-2, true), (1e-3, true), (1e-2, false), (1e-3, false), (0.0, false), (0.0, false)];
 
 /// Most pulses of a profile: more are rather what a wrong response leaves than light.
 const PULSES_MAX: usize = 12;
@@ -97,7 +98,7 @@ pub struct State {
 
 impl Stage for Recalibrate {
     const KIND: &'static str = "recalibrate";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -185,7 +186,7 @@ impl Recalibrate {
             ..SparseOptions::default()
         };
         let mut last: Option<OwnResponse> = None;
-        for least_share in LEAST_SHARES {
+        for (least_share, is_width_alone) in ROUNDS {
             let coefficients = last.map_or_else(|| errors.none(), |own| own.coefficients);
             let score = |(profile, flight): &(&Profile, FlightProfile)| {
                 context.cancel.check();
@@ -193,7 +194,10 @@ impl Recalibrate {
                 errors.score(&flight.view(), &coefficients, averaged, least_share, &options)
             };
             let scores: Vec<ResponseScore> = records.par_iter().filter_map(score).collect();
-            last = Some(errors.estimate(&scores)?);
+            last = errors.estimate(&scores, is_width_alone);
+            if last.is_none() && !is_width_alone {
+                return None;
+            }
         }
         last
     }
@@ -221,15 +225,15 @@ fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response
     let value = |n: f64| response.value(n * row.step_ps) / height;
     let behind = (0..=(last - first) as usize).rev().find(|n| value(first + *n as f64).abs() > NEGLIGIBLE);
     let values = (0..=behind.unwrap_or(0) + 1).map(|n| calibrated.polarity * value(first + n as f64));
-    let [width, sd] = own.width;
     Calibration {
         response_t0_ps: first * row.step_ps,
         response: values.collect(),
         latency_sd_ps: row.latency_sd_ps.hypot(0.5 * (response.width_ps() - row.width_ps)),
         width_ps: response.width_ps(),
-        width_sd_ps: Some(response.width_ps() * sd),
-        scene_width: Some(width),
-        scene_width_sd: Some(sd),
+        width_sd_ps: own.width.map_or(row.width_sd_ps, |[_, sd]| Some(response.width_ps() * sd)),
+        scene_width: own.width.map(|[width, _]| width),
+        scene_width_sd: own.width.map(|[_, sd]| sd),
+        scene_tail: own.tail(),
         scene_evidence: Some(own.gain),
         ..row.clone()
     }

@@ -51,6 +51,9 @@ table! {
         scene_width: Option<f64>,
         /// Standard deviation of that factor.
         scene_width_sd: Option<f64>,
+        /// Light that the scene's own pulses show behind the response of the response captures, in echoes and a tail,
+        /// over that response's area. Null where it is none.
+        scene_tail: Option<f64>,
         /// Logarithm of the ratio of likelihoods of the scene's pulses, with the corrected response over that of the
         /// response captures.
         scene_evidence: Option<f64>,

@@ -24,9 +24,13 @@ use super::linear::Cholesky;
 use super::model::Model;
 use super::{FALSE_PULSES, Profile, Response, SparseOptions, WIDTH_SD};
 
-/// Distance of the copies of the response, in widths, and their number.
-const DELAY_WIDTHS: f64 = 0.5;
-const DELAYS: usize = 16;
+/// Distance of the copies of the response, in widths, the first one's place in units of that, and their number: nearer
+/// ones look like another width, and wider gaps would miss a fast response between them.
+const DELAY_WIDTHS: f64 = 0.25;
+const FIRST_DELAY: usize = 2;
+const DELAYS: usize = 31;
+/// Light that patches spread in time is not followed by a copy that lies so many widths later.
+const LATE_WIDTHS: f64 = 2.0;
 /// Constants of the tails, in widths, and how many of these a tail is followed.
 const TAILS_WIDTHS: [f64; 3] = [2.0, 4.0, 8.0];
 const TAIL_REACH: f64 = 6.0;
@@ -70,8 +74,8 @@ pub struct ResponseScore {
 pub struct OwnResponse {
     /// Coefficient of each shape.
     pub coefficients: Vec<f64>,
-    /// Factor of the width, and its standard deviation.
-    pub width: [f64; 2],
+    /// Factor of the width, and its standard deviation; `None` where it is the calibration's.
+    pub width: Option<[f64; 2]>,
     /// Logarithm of the ratio of likelihoods to the calibration's response.
     pub gain: f64,
     /// Standard deviation of the correction's size between records, over its size: the least that they allow, and the
@@ -80,6 +84,13 @@ pub struct OwnResponse {
 }
 
 impl OwnResponse {
+    /// What its echoes and tails add to the area of the response, as a share; `None` where it has none.
+    #[must_use]
+    pub fn tail(&self) -> Option<f64> {
+        let added = &self.coefficients[1..];
+        added.iter().any(|c| *c != 0.0).then(|| added.iter().sum())
+    }
+
     /// Whether the correction is the sensor's: as large in all records.
     #[must_use]
     pub fn is_common(&self) -> bool {
@@ -89,14 +100,16 @@ impl OwnResponse {
 
 impl ResponseErrors {
     /// Of a pulse's response; `may_spread` where light may be spread in time ([`SparseOptions::extent_max_ps`]): then
-    /// only a narrower response is sought, since all else may be the patches' light. `None` for a step's response.
+    /// a wider response is not sought, nor are echoes within [`LATE_WIDTHS`], since these may be the patches' light.
+    /// `None` for a step's response.
     #[must_use]
     pub fn new(response: &Response, may_spread: bool) -> Option<Self> {
         if response.is_step() {
             return None;
         }
         let width_ps = response.width_ps();
-        let echoes = (1..=DELAYS).map(|j| response.delayed(j as f64 * DELAY_WIDTHS * width_ps));
+        let delays = (FIRST_DELAY..).take(DELAYS).map(|n| n as f64 * DELAY_WIDTHS);
+        let echoes = delays.map(|widths| response.delayed(widths * width_ps));
         let tails = TAILS_WIDTHS.iter().map(|widths| tailed(response, widths * width_ps));
         let shapes: Vec<Response> = std::iter::once(stretching(response)).chain(echoes).chain(tails).collect();
         let sds = (0..shapes.len()).map(|j| match j {
@@ -179,45 +192,56 @@ impl ResponseErrors {
         Some(ResponseScore { information, gradient })
     }
 
-    /// What all records say together; `None` where the calibration's response explains them as well, or they are too
-    /// few.
+    /// What all records say together, of the width alone or of the whole shape; `None` where the calibration's response
+    /// explains them as well, or they are too few. The model is linear in the coefficients of the records' fits: seek
+    /// the width first, since echoes explain what is not linear in it.
     #[must_use]
-    pub fn estimate(&self, scores: &[ResponseScore]) -> Option<OwnResponse> {
+    pub fn estimate(&self, scores: &[ResponseScore], is_width_alone: bool) -> Option<OwnResponse> {
         let shapes = self.shapes.len();
         let mut all = ResponseScore { information: vec![0.0; shapes * shapes], gradient: vec![0.0; shapes] };
         for score in scores {
             all.information.iter_mut().zip(&score.information).for_each(|(sum, value)| *sum += value);
             all.gradient.iter_mut().zip(&score.gradient).for_each(|(sum, value)| *sum += value);
         }
-        let width = self.posterior(&all, 1).filter(|own| !self.may_spread || own.coefficients[0] < 0.0);
+        let is_allowed = |own: &OwnResponse| !self.may_spread || own.coefficients[0] <= 0.0;
+        let width = self.posterior(&all, &[0]).filter(is_allowed);
         let of_width = width.as_ref().map_or(0.0, |own| own.gain);
-        let shape = self.posterior(&all, shapes).filter(|_| !self.may_spread);
+        let late: Vec<usize> = (self.first_late()..shapes).collect();
+        let with_width: Vec<usize> = std::iter::once(0).chain(late.iter().copied()).collect();
+        let shape = self.posterior(&all, &with_width).filter(is_allowed);
+        let shape = shape.or_else(|| self.posterior(&all, &late)).filter(|_| !is_width_alone);
         let shape = shape.filter(|own| own.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);
         let mut found = shape.or(width).filter(|found| found.gain > LEAST_GAIN)?;
         let sizes: Vec<(f64, f64)> = scores.iter().filter_map(|score| score.size_along(&found.coefficients)).collect();
         found.spread = spread(&sizes)?;
-        found.width[1] = found.width[1].hypot(found.spread[1] * found.coefficients[0]);
+        if let Some([_, sd]) = &mut found.width {
+            *sd = sd.hypot(found.spread[1] * found.coefficients[0]);
+        }
         Some(found)
     }
 
-    /// The likeliest coefficients of the first `count` shapes, the others 0.
-    fn posterior(&self, score: &ResponseScore, count: usize) -> Option<OwnResponse> {
-        let shapes = self.shapes.len();
+    /// The first of the shapes that light which patches spread in time does not make.
+    fn first_late(&self) -> usize {
+        if self.may_spread { 1 + (LATE_WIDTHS / DELAY_WIDTHS) as usize - FIRST_DELAY } else { 1 }
+    }
+
+    /// The likeliest coefficients of these shapes, the others 0.
+    fn posterior(&self, score: &ResponseScore, shapes: &[usize]) -> Option<OwnResponse> {
         // In units of the standard deviations before.
-        let scaled = |(i, j): (usize, usize)| {
-            f64::from(u8::from(i == j)) + self.sds[i] * self.sds[j] * score.information[i * shapes + j]
+        let scaled = |i: usize, j: usize| {
+            f64::from(u8::from(i == j)) + self.sds[i] * self.sds[j] * score.information[i * self.shapes.len() + j]
         };
-        let matrix = (0..count).flat_map(|i| (0..count).map(move |j| (i, j))).map(scaled).collect();
-        let factor = Cholesky::new(matrix, count)?;
-        let mut half: Vec<f64> = self.sds[..count].iter().zip(&score.gradient).map(|(sd, g)| sd * g).collect();
+        let matrix = shapes.iter().flat_map(|i| shapes.iter().map(|j| scaled(*i, *j))).collect();
+        let factor = Cholesky::new(matrix, shapes.len())?;
+        let mut half: Vec<f64> = shapes.iter().map(|j| self.sds[*j] * score.gradient[*j]).collect();
         factor.solve_lower(&mut half);
         let gain = 0.5 * half.iter().map(|v| v * v).sum::<f64>() - factor.half_log_determinant();
         factor.solve_upper(&mut half);
         let mut coefficients = self.none();
-        for ((coefficient, sd), value) in coefficients.iter_mut().zip(&self.sds).zip(half) {
-            *coefficient = sd * value;
+        for (j, value) in shapes.iter().zip(half) {
+            coefficients[*j] = self.sds[*j] * value;
         }
-        let width = [coefficients[0].exp(), self.sds[0] * factor.inverse()[0].sqrt()];
+        let width = (shapes[0] == 0).then(|| [coefficients[0].exp(), self.sds[0] * factor.inverse()[0].sqrt()]);
         Some(OwnResponse { coefficients, width, gain, spread: [0.0; 2] })
     }
 }
@@ -288,7 +312,7 @@ mod tests {
         let errors = ResponseErrors::new(&response, false).unwrap();
         assert_eq!(errors.none().len(), 1 + DELAYS + TAILS_WIDTHS.len());
         let mut coefficients = errors.none();
-        (coefficients[0], coefficients[4]) = (0.02, 0.01);
+        (coefficients[0], coefficients[1 + 8 - FIRST_DELAY]) = (0.02, 0.01);
         let changed = errors.response(&coefficients);
         for n in -40..60 {
             let t = 7.0 * f64::from(n);

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::decision;
-use crate::tables::{Decision, Name, Onset};
+use crate::tables::{Calibration, Decision, Name, Onset};
 
 /// Share of profiles that noise alone makes a misfit, at most; and as many are none of their own.
 const BY_CHANCE: f64 = 0.02;
@@ -43,6 +43,21 @@ pub(super) fn decisions(onsets: &[Onset]) -> Vec<Decision> {
     let mut rows = vec![decision("waveforms", &chosen, &evidence, text)];
     rows.extend(widths(onsets).into_iter().map(|(sensor, width)| width.decision(sensor)));
     rows
+}
+
+/// Echoes or a tail that `recalibrate` added to a response.
+pub(super) fn tail(row: &Calibration) -> Option<Decision> {
+    let (share, evidence) = row.scene_tail.zip(row.scene_evidence)?;
+    Some(Decision {
+        log_likelihood_ratio: Some(evidence),
+        runner_up: Some("the response of the response captures".into()),
+        ..decision(
+            &format!("echoes of {}", row.sensor),
+            &format!("corrected: {:.2} % more light in echoes or a tail than calibrated", 1e2 * share),
+            &format!("as much in all profiles, whatever lies where: log-likelihood ratio {evidence:.1}"),
+            "response captures with the same cables and on the same day",
+        )
+    })
 }
 
 /// Whether noise makes so many of all profiles contradict their pulses.
