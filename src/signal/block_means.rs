@@ -69,7 +69,7 @@ impl BlockMeans {
     }
 
     /// The means of each shot.
-    pub fn shots(&self) -> impl Iterator<Item = &[f64]> {
+    pub fn shots(&self) -> impl ExactSizeIterator<Item = &[f64]> {
         self.means.chunks_exact(self.blocks.max(1))
     }
 }

@@ -151,8 +151,10 @@ impl<'a> Codes<'a> {
 
     /// The codes as numbers, in place of what `values` held.
     pub fn read_into(&self, values: &mut Vec<f64>) {
-        values.clear();
-        each!(*self, numbers => widest(|| values.extend(numbers.map(f64::from))));
+        values.resize(self.len(), 0.0);
+        each!(*self, numbers => widest(|| {
+            values.iter_mut().zip(numbers).for_each(|(value, number)| *value = f64::from(number));
+        }));
     }
 
     /// Mean of the codes.

@@ -1,5 +1,6 @@
 //! Noise of a record: standard deviation and autocorrelation, from stretches without light.
 
+use super::sums::sum;
 use super::whiten::Predictors;
 use super::widest::widest;
 
@@ -139,7 +140,7 @@ const LAGS: usize = 8;
 /// Adds to each sum, of lag 0, 1, .., the products of all samples about their mean with those as much later. `room` is
 /// used again from stretch to stretch.
 fn add_lagged_products(sums: &mut [f64], stretch: &[f64], room: &mut Vec<f64>) {
-    let mean = stretch.iter().sum::<f64>() / stretch.len() as f64;
+    let mean = sum(stretch) / stretch.len() as f64;
     room.clear();
     room.extend(stretch.iter().map(|value| value - mean));
     // What lies beyond the end adds nothing.

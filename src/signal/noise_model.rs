@@ -19,6 +19,7 @@
 use std::ops::Range;
 
 use super::regression::invert;
+use super::sums::sum;
 use super::widest::widest;
 
 /// Terms of the model.
@@ -29,6 +30,10 @@ const ROUNDS: usize = 100;
 const SETTLED: f64 = 1e-3;
 /// Derivative over eight steps, exact for polynomials of order 8.
 const WIDE: [f64; 9] = [1.0 / 280.0, -4.0 / 105.0, 0.2, -0.8, 0.0, 0.8, -0.2, 4.0 / 105.0, -1.0 / 280.0];
+/// Samples that it reaches to either side.
+const REACH: usize = WIDE.len() / 2;
+/// Derivative over two steps.
+const NARROW: [f64; 3] = [-0.5, 0.0, 0.5];
 /// A model variance is not taken below this share of the mean variance: its inverse square is a weight, and one sample
 /// must not decide the fit.
 const FLOOR: f64 = 1e-6;
@@ -71,7 +76,7 @@ pub fn fit(spread: &Spread) -> Option<NoiseModel> {
     let used = spread.variance_v2.iter().filter(|variance| variance.is_finite()).count();
     // A sample to be ignored is one without weight.
     let variances: Vec<f64> = spread.variance_v2.iter().map(|v| if v.is_finite() { *v } else { 0.0 }).collect();
-    let mean = variances.iter().sum::<f64>() / used.max(1) as f64;
+    let mean = sum(&variances) / used.max(1) as f64;
     if used < TERMS || mean <= 0.0 {
         return None;
     }
@@ -110,13 +115,13 @@ impl Spread<'_> {
     /// Weights of samples in place of their variances by the model, of which none is taken below `least`: the inverse
     /// variance of a variance over shots.
     fn weigh(&self, finite: &[f64], least: f64, weights: &mut [f64]) {
-        let freedom = (self.shots - 1) as f64;
+        let half_freedom = 0.5 * (self.shots - 1) as f64;
         widest(
             #[inline(always)]
             || {
                 for (weight, one) in weights.iter_mut().zip(finite) {
                     let variance = weight.max(least);
-                    *weight = one / (variance * variance * 2.0 / freedom);
+                    *weight = one * half_freedom / (variance * variance);
                 }
             },
         );
@@ -158,8 +163,11 @@ impl Columns {
         let len = mean_v.len();
         let (mut rise, mut gain) = (vec![0.0; len], vec![0.0; len]);
         // Differences over eight samples follow the slope's square of a pulse of 1.5 samples' sd to 2 %; over four they
-        // would miss 8 %.
-        squared_slopes(mean_v, [-0.5, 0.0, 0.5], dt_ps, &mut rise, &mut gain);
+        // would miss 8 %. The ends have neighbours for differences over two alone.
+        let width = len.min(REACH + 1);
+        for end in [0..width, len - width..len] {
+            squared_slopes(&mean_v[end.clone()], NARROW, dt_ps, &mut rise[end.clone()], &mut gain[end]);
+        }
         squared_slopes(mean_v, WIDE, dt_ps, &mut rise, &mut gain);
         let square: Vec<f64> = mean_v.iter().map(|v| v * v).collect();
         let level = mean_v.iter().map(|v| v.abs()).collect();
@@ -218,14 +226,13 @@ fn squared_slopes<const WIDTH: usize>(
     let of_noise: f64 = weights.iter().map(|w| w * w).sum();
     gain[places.clone()].fill(of_noise * per_ps2);
     let rise = &mut rise[places];
-    let neighbours: [&[f64]; WIDTH] = std::array::from_fn(|k| &mean_v[k..k + count]);
     widest(
         #[inline(always)]
         || {
-            for (n, rise) in rise.iter_mut().enumerate() {
+            for (rise, neighbours) in rise.iter_mut().zip(mean_v.array_windows::<WIDTH>()) {
                 let mut slope = 0.0;
                 for k in 0..WIDTH {
-                    slope += neighbours[k][n] * weights[k];
+                    slope += neighbours[k] * weights[k];
                 }
                 *rise = slope * slope * per_ps2;
             }

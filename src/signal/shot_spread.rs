@@ -42,20 +42,19 @@ impl Spread {
         let (mut total, mut samples) = (0.0, 0);
         // Where the number of shots that cover a place changes, and by how much.
         let mut changes = vec![0_i32; count + 1];
-        let mut room = vec![0.0; STRETCH_BLOCKS * differences.block()];
-        compare(shots, mean, dark, |Compared { at, own, values, moved, from }| {
-            differences.begin(values.len());
-            for start in (0..values.len()).step_by(room.len()) {
-                let stretch = start..values.len().min(start + room.len());
-                let (values, moved) = (&values[stretch.clone()], &moved[from + start..]);
+        let (mut values, mut room) = (Vec::new(), vec![0.0; STRETCH_BLOCKS * differences.block()]);
+        compare(shots, mean, dark, |Compared { at, own, codes, moved, from }| {
+            differences.begin(codes.len());
+            for start in (0..codes.len()).step_by(room.len()) {
+                codes.slice(start..codes.len().min(start + room.len())).read_into(&mut values);
                 let difference = &mut room[..values.len()];
-                subtract(values, own, moved, difference, &mut variances[at + start..]);
+                subtract(&values, own, &moved[from + start..], difference, &mut variances[at + start..]);
                 total += sum_of_squares(difference);
                 differences.fill(start, difference);
             }
-            samples += values.len();
+            samples += codes.len();
             changes[at] += 1;
-            changes[at + values.len()] -= 1;
+            changes[at + codes.len()] -= 1;
         });
         let mut covering = 0;
         for (variance, change) in variances.iter_mut().zip(&changes) {
@@ -74,7 +73,7 @@ fn subtract(values: &[f64], own: f64, mean: &[f64], differences: &mut [f64], squ
             let out = differences.iter_mut().zip(squares);
             for ((value, mean), (difference, square)) in values.iter().zip(mean).zip(out) {
                 *difference = value - mean;
-                let residual = value - own - mean;
+                let residual = *difference - own;
                 *square += residual * residual;
             }
         },
@@ -198,7 +197,7 @@ struct Compared<'a> {
     /// Its baseline over the mean's.
     own: f64,
     /// Its samples from there on, as far as the mean goes.
-    values: &'a [f64],
+    codes: Codes<'a>,
     /// The mean, moved to where the shot lies, and where in it the first of these samples has its like.
     moved: &'a [f64],
     from: usize,
@@ -211,11 +210,10 @@ struct Compared<'a> {
 fn compare(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, mut each: impl FnMut(Compared<'_>)) {
     let of_mean = &mean.mean[dark.of_mean(mean)];
     let floor: f64 = of_mean.iter().sum::<f64>() / of_mean.len() as f64;
-    let (mut values, mut moved, mut moved_by) = (Vec::new(), mean.mean.clone(), 0);
+    let (mut of_shot, mut moved, mut moved_by) = (Vec::new(), mean.mean.clone(), 0);
     for (codes, position) in shots {
-        codes.read_into(&mut values);
-        let of_shot = &values[dark.range(values.len(), *position)];
-        let own = sum(of_shot) / of_shot.len() as f64 - floor;
+        codes.slice(dark.range(codes.len(), *position)).read_into(&mut of_shot);
+        let own = sum(&of_shot) / of_shot.len() as f64 - floor;
         let (whole, phase) = (position.div_euclid(PHASES as i64), position.rem_euclid(PHASES as i64));
         // The mean at a place and a fraction is that at the next place, earlier by the rest.
         let later = i64::from(phase > 0);
@@ -226,10 +224,10 @@ fn compare(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, mut each: impl 
         }
         let offset = whole - mean.first_position;
         let count = mean.mean.len() as i64;
-        let (start, end) = ((-offset).max(0), (count - later - offset).min(values.len() as i64));
+        let (start, end) = ((-offset).max(0), (count - later - offset).min(codes.len() as i64));
         if start < end {
-            let (at, values) = ((offset + start) as usize, &values[start as usize..end as usize]);
-            each(Compared { at, own, values, moved: &moved, from: at + later as usize });
+            let (at, codes) = ((offset + start) as usize, codes.slice(start as usize..end as usize));
+            each(Compared { at, own, codes, moved: &moved, from: at + later as usize });
         }
     }
 }

@@ -16,7 +16,7 @@ use std::ops::Range;
 
 use crate::block_means::BlockMeans;
 use crate::regression::invert;
-use crate::sums::sum;
+use crate::sums::sum_in_kernel;
 use crate::widest::widest;
 
 /// Components at most, and blocks to each.
@@ -61,7 +61,8 @@ impl SlowNoise {
     #[must_use]
     pub fn of(differences: &BlockMeans, dark: &[bool]) -> Option<Self> {
         let mut blocks = Blocks::of(differences, dark);
-        let means: Vec<Vec<f64>> = differences.shots().map(|all| blocks.select(all)).collect();
+        let selection = blocks.select(differences);
+        let means: Vec<&[f64]> = selection.chunks_exact(blocks.ranges.len().max(1)).collect();
         let fast = blocks.fast_variance(&means)?;
         if !blocks.is_slow(&means, fast) {
             return None;
@@ -73,12 +74,12 @@ impl SlowNoise {
     }
 
     /// `None` where the dark blocks do not separate the components.
-    fn fit(blocks: Blocks, means: &[Vec<f64>], fast: f64) -> Option<Self> {
+    fn fit(blocks: Blocks, means: &[&[f64]], fast: f64) -> Option<Self> {
         let (size, shots) = (blocks.size(), means.len() as f64);
         let gram = blocks.gram();
         let along: Vec<Vec<f64>> = means.iter().map(|means| blocks.along(means)).collect();
         let count = blocks.ranges.len() as f64;
-        let total = means.iter().flatten().map(|mean| mean * mean).sum::<f64>();
+        let total = means.iter().copied().flatten().map(|mean| mean * mean).sum::<f64>();
         let mut variances = vec![total / shots / count; size - 1];
         let (mut own, mut amplitudes) = (fast, Vec::new());
         let mut taken = 0.0;
@@ -158,16 +159,18 @@ impl Blocks {
         self.basis[0].len()
     }
 
-    /// The means of these blocks, from those of all.
-    fn select(&self, means: &[f64]) -> Vec<f64> {
-        let mut selection = Vec::with_capacity(self.ranges.len());
-        self.runs.iter().for_each(|run| selection.extend_from_slice(&means[run.clone()]));
+    /// The means of these blocks, shot by shot, from those of all.
+    fn select(&self, means: &BlockMeans) -> Vec<f64> {
+        let mut selection = Vec::with_capacity(means.shots().len() * self.ranges.len());
+        for means in means.shots() {
+            self.runs.iter().for_each(|run| selection.extend_from_slice(&means[run.clone()]));
+        }
         selection
     }
 
     /// Variance of a block's mean by fast noise: half of the mean square of differences over two blocks. `None` where
     /// there are too few blocks to tell slow noise, or no noise.
-    fn fast_variance(&self, means: &[Vec<f64>]) -> Option<f64> {
+    fn fast_variance(&self, means: &[&[f64]]) -> Option<f64> {
         let is_pair = |three: &[Range<usize>]| three[2].start == three[0].end + three[1].len();
         let pairs: Vec<f64> = self.ranges.windows(3).map(|three| f64::from(u8::from(is_pair(three)))).collect();
         let count = pairs.iter().sum::<f64>();
@@ -179,7 +182,7 @@ impl Blocks {
             #[inline(always)]
             || {
                 for means in means {
-                    for ((square, early), late) in squares.iter_mut().zip(means).zip(&means[2..]) {
+                    for ((square, early), late) in squares.iter_mut().zip(*means).zip(&means[2..]) {
                         *square += (late - early) * (late - early);
                     }
                 }
@@ -190,11 +193,19 @@ impl Blocks {
     }
 
     /// Whether means over long runs of blocks scatter more than `fast` noise makes them.
-    fn is_slow(&self, means: &[Vec<f64>], fast: f64) -> bool {
+    fn is_slow(&self, means: &[&[f64]], fast: f64) -> bool {
         let run = self.ranges.len() / LONG_BLOCKS;
         let (mut squares, mut freedom) = (0.0, 0.0);
+        let mut long = vec![0.0; self.ranges.len() / run];
         for means in means {
-            let long: Vec<f64> = means.chunks_exact(run).map(|run| sum(run) / run.len() as f64).collect();
+            widest(
+                #[inline(always)]
+                || {
+                    for (mean, run) in long.iter_mut().zip(means.chunks_exact(run)) {
+                        *mean = sum_in_kernel(run) / run.len() as f64;
+                    }
+                },
+            );
             let middle = long.iter().sum::<f64>() / long.len() as f64;
             squares += long.iter().map(|mean| (mean - middle).powi(2)).sum::<f64>() * run as f64 / fast;
             freedom += long.len() as f64 - 1.0;
@@ -203,7 +214,7 @@ impl Blocks {
     }
 
     /// Components up to the last band whose power exceeds that of fast noise.
-    fn components(&self, means: &[Vec<f64>], fast: f64) -> Option<usize> {
+    fn components(&self, means: &[&[f64]], fast: f64) -> Option<usize> {
         let mut power = vec![0.0; self.size() - 1];
         let square = |k: usize| self.basis.iter().map(|row| row[k] * row[k]).sum::<f64>();
         let squares: Vec<f64> = (1..self.size()).map(square).collect();

@@ -7,6 +7,16 @@ const LANES: usize = 16;
 
 /// The sum of all values.
 pub fn sum(values: &[f64]) -> f64 {
+    widest(
+        #[inline(always)]
+        || sum_in_kernel(values),
+    )
+}
+
+/// The same where a kernel of [`widest`] needs it: of few values, the choice of vectors takes longer than the sum.
+#[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
+#[inline(always)]
+pub fn sum_in_kernel(values: &[f64]) -> f64 {
     sum_of(
         values,
         #[inline(always)]
@@ -16,27 +26,28 @@ pub fn sum(values: &[f64]) -> f64 {
 
 /// The sum of their squares.
 pub fn sum_of_squares(values: &[f64]) -> f64 {
-    sum_of(
-        values,
+    widest(
         #[inline(always)]
-        |value| value * value,
+        || {
+            sum_of(
+                values,
+                #[inline(always)]
+                |value| value * value,
+            )
+        },
     )
 }
 
+#[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
+#[inline(always)]
 fn sum_of(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
     let (blocks, rest) = values.as_chunks::<LANES>();
-    let sums = widest(
-        #[inline(always)]
-        || {
-            let mut sums = [0.0; LANES];
-            for block in blocks {
-                for (sum, value) in sums.iter_mut().zip(block) {
-                    *sum += of(*value);
-                }
-            }
-            sums
-        },
-    );
+    let mut sums = [0.0; LANES];
+    for block in blocks {
+        for lane in 0..LANES {
+            sums[lane] += of(block[lane]);
+        }
+    }
     sums.iter().sum::<f64>() + rest.iter().map(|value| of(*value)).sum::<f64>()
 }
 

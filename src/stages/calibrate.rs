@@ -121,7 +121,7 @@ pub struct Context {
 
 impl Stage for Calibrate {
     const KIND: &'static str = "calibrate";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::Sensor;
     type Input = Trace;
     type Output = Calibration;

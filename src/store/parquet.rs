@@ -255,14 +255,14 @@ fn holds_samples(field: &Field) -> bool {
 }
 
 /// Columns are compressed, except lists of floats, since their low bits are noise. In tables of samples only codes are
-/// compressed: the other columns are a hundredth of the bytes, and each column chunk would start a compressor of its
-/// own.
+/// compressed: the other columns are a hundredth of the bytes. Codes alone are worth the compressor that zstd starts
+/// for each column chunk.
 fn properties(schema: &SchemaRef) -> WriterProperties {
     let zstd = Compression::ZSTD(ZstdLevel::try_new(1).expect("level 1 exists"));
     let has_samples = schema.fields().iter().any(|field| holds_samples(field));
     let mut properties = WriterProperties::builder()
         .set_created_by("periscope".to_owned())
-        .set_compression(if has_samples { Compression::UNCOMPRESSED } else { zstd })
+        .set_compression(if has_samples { Compression::UNCOMPRESSED } else { Compression::LZ4_RAW })
         .set_max_row_group_row_count(None);
     for field in schema.fields() {
         let marked = field.metadata().get(COMPRESSION.0).is_some_and(|mark| mark == COMPRESSION.1);

@@ -2,7 +2,7 @@
 //! response.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::Float64Type;
@@ -174,11 +174,15 @@ impl Impulse {
     }
 
     fn fields() -> Fields {
-        let field = |(n, name): (usize, &&str)| {
-            let unit = unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
-            Field::new(*name, DataType::Float64, n >= REQUIRED).with_metadata(unit.unwrap_or_default())
-        };
-        IMPULSE_FIELDS.iter().enumerate().map(field).collect()
+        // Made once, since every batch of rows needs them.
+        static FIELDS: LazyLock<Fields> = LazyLock::new(|| {
+            let field = |(n, name): (usize, &&str)| {
+                let unit = unit_of(name).map(|unit| HashMap::from([("unit".to_owned(), unit.to_owned())]));
+                Field::new(*name, DataType::Float64, n >= REQUIRED).with_metadata(unit.unwrap_or_default())
+            };
+            IMPULSE_FIELDS.iter().enumerate().map(field).collect()
+        });
+        FIELDS.clone()
     }
 }
 

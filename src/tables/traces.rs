@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use arrow_array::{Array, ArrayRef, RecordBatch, new_null_array};
+use arrow_array::{Array, ArrayRef, RecordBatch, UInt32Array, new_null_array};
+use arrow_select::take::take_record_batch;
 
 use super::cell::{Cell, Codes, Name};
 use super::row::Row;
@@ -217,7 +218,10 @@ impl Records {
     /// The rows.
     #[must_use]
     pub fn to_batch(&self) -> RecordBatch {
-        let rows = Trace::to_batch_of(self.own.iter().map(|own| &self.shared[own.shared].row));
+        // Each shared row is made once, and then copied column by column.
+        let shared = Trace::to_batch_of(self.shared.iter().map(|shared| &shared.row));
+        let of_record = UInt32Array::from_iter_values(self.own.iter().map(|own| own.shared as u32));
+        let rows = take_record_batch(&shared, &of_record).expect("records have a shared row");
         with(
             &rows,
             [
@@ -234,12 +238,13 @@ impl Records {
     /// `digest` is that of a raw file.
     #[must_use]
     pub fn to_index(&self, rows: &RecordBatch, digest: impl Fn(&str) -> Option<Name>) -> RecordBatch {
-        let digests: Vec<Option<Name>> = self.shared.iter().map(|shared| digest(&shared.codes_file)).collect();
+        let files = self.shared.iter().map(|shared| &shared.codes_file);
+        let (files, digests): (Vec<_>, Vec<_>) = files.map(|file| (Some(file.clone()), digest(file))).unzip();
         with(
             rows,
             [
                 ("codes", new_null_array(&Codes::data_type(), self.own.len())),
-                ("codes_file", self.column(|own| Some(self.shared[own.shared].codes_file.clone()))),
+                ("codes_file", Cell::build(self.own.iter().map(|own| &files[own.shared]))),
                 ("codes_file_digest", Cell::build(self.own.iter().map(|own| &digests[own.shared]))),
                 ("codes_offset_bytes", self.column(|own| own.place.map(|place| place.offset_bytes))),
                 ("codes_stride_bytes", self.column(|own| own.place.map(|place| place.stride_bytes))),

@@ -173,21 +173,19 @@ impl Noise {
         }
     }
 
-    /// Variance of a sample without light in the mean of so many `records`, V^2, slow noise left out.
-    pub fn mean_v2(&self, v: f64, records: f64) -> f64 {
-        self.own_v2(v) / records + self.rounding_v2
+    /// Standard deviations that samples of these levels have for themselves in the mean of so many `records`, V, slow
+    /// noise left out.
+    pub fn mean_sd_v(&self, mean_v: &[f64], records: f64) -> Vec<f64> {
+        let of_model = |model: &NoiseModel| (model.values[0], model.values[LEVEL]);
+        let (constant, of_level) = self.model.as_ref().map_or((self.sd_v * self.sd_v, 0.0), of_model);
+        let sd_v = |v: &f64| ((constant + of_level * v.abs()) / records + self.rounding_v2).sqrt();
+        mean_v.iter().map(sd_v).collect()
     }
 
     /// Standard deviation of a sample without light in one of so many `records` whose mean has the noise of all kinds.
     pub fn total_sd_v(&self, records: f64) -> f64 {
         let slow_v2: f64 = self.slow_v2.iter().flatten().sum();
         (self.sd_v * self.sd_v + slow_v2 + records * self.rounding_v2).sqrt()
-    }
-
-    /// Variance that a sample at level `v` has for itself in one record, V^2.
-    fn own_v2(&self, v: f64) -> f64 {
-        let own = |model: &NoiseModel| model.values[0] + model.values[LEVEL] * v.abs();
-        self.model.as_ref().map_or(self.sd_v * self.sd_v, own)
     }
 
     /// Relative variance of the laser's energy from record to record; 0 where it is not significant.

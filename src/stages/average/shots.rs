@@ -408,7 +408,7 @@ impl Shots {
             bounces: first.bounces,
             acquired_at: first.acquired_at,
         };
-        let se_v = mean_v.iter().map(|v| noise.mean_v2(*v, records).sqrt()).collect();
+        let se_v = noise.mean_sd_v(&mean_v, records);
         Record { first: mean.first_position, mean_v, se_v, clipping: self.clipping, profile }
     }
 
