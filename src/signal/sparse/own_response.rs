@@ -206,10 +206,11 @@ impl ResponseErrors {
         let is_allowed = |own: &OwnResponse| !self.may_spread || own.coefficients[0] <= 0.0;
         let width = self.posterior(&all, &[0]).filter(is_allowed);
         let of_width = width.as_ref().map_or(0.0, |own| own.gain);
-        let late: Vec<usize> = (self.first_late()..shapes).collect();
-        let with_width: Vec<usize> = std::iter::once(0).chain(late.iter().copied()).collect();
-        let shape = self.posterior(&all, &with_width).filter(is_allowed);
-        let shape = shape.or_else(|| self.posterior(&all, &late)).filter(|_| !is_width_alone);
+        // Where the pulses are as wide as calibrated or wider, a narrower response with a tail would imitate light that
+        // patches spread.
+        let with_width = (width.is_some() || !self.may_spread).then_some(0);
+        let shapes: Vec<usize> = with_width.into_iter().chain(self.first_late()..shapes).collect();
+        let shape = self.posterior(&all, &shapes).filter(is_allowed).filter(|_| !is_width_alone);
         let shape = shape.filter(|own| own.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);
         let mut found = shape.or(width).filter(|found| found.gain > LEAST_GAIN)?;
         let sizes: Vec<(f64, f64)> = scores.iter().filter_map(|score| score.size_along(&found.coefficients)).collect();

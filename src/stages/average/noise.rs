@@ -78,8 +78,8 @@ impl Judges<'_> {
         Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
     }
 
-    /// Variance of a record as a function of level and slope. What grows with the light may come from pulses that are too
-    /// fast for their sampling: then shots are compared with those of nearly the same phase.
+    /// Variance of a record as a function of level and slope. What grows with the light may come from pulses that are
+    /// too fast for their sampling: then shots are compared with those of nearly the same phase.
     fn model(&self, slow: Option<&Slow>) -> Option<NoiseModel> {
         let gain_v = self.first.gain_v.abs();
         let mean_v: Vec<f64> = self.mean.mean.iter().map(|code| (code - self.level) * gain_v).collect();
