@@ -388,7 +388,7 @@ mod tests {
     fn a_pulse_too_fast_for_its_sampling_is_no_noise() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         for (width, jitter, least, most) in [(2.5, 0.1, 0.8, 1.25), (0.7, 0.1, 0.7, 1.6), (0.7, 0.0, 0.0, 0.15)] {
-            let mut both = |rng: &mut ChaCha8Rng| {
+            let both = |rng: &mut ChaCha8Rng| {
                 let shots = pulses(width, jitter, rng);
                 let views: Vec<(Codes<'_>, i64)> = shots.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
                 let mut sums = crate::average::PhaseSums::new(200);
