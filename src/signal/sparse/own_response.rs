@@ -100,7 +100,7 @@ impl OwnResponse {
 
 impl ResponseErrors {
     /// Of a pulse's response; `may_spread` where light may be spread in time ([`SparseOptions::extent_max_ps`]): then
-    /// a wider response is not sought, nor are echoes within [`LATE_WIDTHS`], since these may be the patches' light.
+    /// a wider response is not sought, nor are echoes within two widths, since these may be the patches' light.
     /// `None` for a step's response.
     #[must_use]
     pub fn new(response: &Response, may_spread: bool) -> Option<Self> {
