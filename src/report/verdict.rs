@@ -187,6 +187,7 @@ fn of_decision(row: &Decision) -> Option<(Word, String)> {
         "hidden things" if begins("nothing") || begins("undetermined") => Word::NothingFound,
         "fit" | "waveforms" | "hidden things" => Word::Explained,
         what if what.starts_with("response of ") && !begins("as wide as calibrated") => Word::ExplainedInPart,
+        what if what.starts_with("echoes of ") && !begins("corrected") => Word::ExplainedInPart,
         _ => return None,
     };
     Some((word, format!("{}: {} ({})", row.what, row.chosen, row.evidence)))
@@ -295,6 +296,8 @@ mod tests {
         assert_eq!(word("hidden things", "nothing"), Some(Word::NothingFound));
         assert_eq!(word("response of s1", "pulses are 9.0 % wider"), Some(Word::ExplainedInPart));
         assert_eq!(word("response of s1", "as wide as calibrated"), None);
+        assert_eq!(word("echoes of s1", "the calibration contradicts the scene"), Some(Word::ExplainedInPart));
+        assert_eq!(word("echoes of s1", "corrected: 0.40 % more light"), None);
         assert_eq!(word("labels", "3 of 4 pulses have a path"), None);
         assert_eq!(word("surface", "no surface: first light does not agree"), Some(Word::NothingFound));
         assert_eq!(word("meshes", "1 surface in `meshes`"), Some(Word::Explained));

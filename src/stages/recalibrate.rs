@@ -40,18 +40,13 @@ use crate::priors::campaign_fields::ByCampaign;
 use crate::priors::flight_profile::FlightProfile;
 use crate::priors::sensor_range::{OfSensorRange, SensorRange};
 use crate::signal::response::Response;
-use crate::signal::sparse::{OwnResponse, ResponseErrors, ResponseScore, SparseOptions};
+use crate::signal::sparse::{OwnResponse, ResponseErrors, SparseOptions};
 use crate::tables::profiles::ProfileColumns;
 use crate::tables::row::Row;
 use crate::tables::{Calibration, Name, Profile, Session};
 
 /// Most profiles of a sensor and range that are used.
 pub const PROFILES_MAX: usize = 256;
-
-/// Rounds: what a pulse must be worth in each as a share of the strongest, and whether the width alone is sought. What
-/// an error of the response makes of the strongest is less at first, and is corrected before it could be taken for
-/// light; a width that is off is corrected before what is not linear in it could be taken for echoes.
-const ROUNDS: [(f64, bool); 6] = [(1e-2, true), (1e-3, true), (1e-2, false), (1e-3, false), (0.0, false), (0.0, false)];
 
 /// Most pulses of a profile: more are rather what a wrong response leaves than light.
 const PULSES_MAX: usize = 12;
@@ -185,21 +180,14 @@ impl Recalibrate {
             cancel: context.cancel.clone(),
             ..SparseOptions::default()
         };
-        let mut last: Option<OwnResponse> = None;
-        for (least_share, is_width_alone) in ROUNDS {
-            let coefficients = last.map_or_else(|| errors.none(), |own| own.coefficients);
+        errors.own_response(|coefficients, least_share| {
             let score = |(profile, flight): &(&Profile, FlightProfile)| {
                 context.cancel.check();
                 let averaged = |response: &Response| averaged(response, profile);
-                errors.score(&flight.view(), &coefficients, averaged, least_share, &options)
+                errors.score(&flight.view(), coefficients, averaged, least_share, &options)
             };
-            let scores: Vec<ResponseScore> = records.par_iter().filter_map(score).collect();
-            last = errors.estimate(&scores, is_width_alone);
-            if last.is_none() && !is_width_alone {
-                return None;
-            }
-        }
-        last
+            records.par_iter().filter_map(score).collect()
+        })
     }
 }
 

@@ -125,21 +125,39 @@ fn run_scene(lab: &Lab, out: &str) -> i32 {
     command.output().unwrap().status.code().unwrap()
 }
 
-/// Captures with one response, a calibration with that of a slower sensor: the head says so, though `recalibrate`
-/// corrects most of it.
-#[test]
-fn a_wrong_response_is_named_at_first_sight() {
+/// Captures with one response, a calibration with that of a slower sensor; the head of the report.
+fn with_slower_calibration(tau_ps: f64) -> (String, String) {
     let lab = Lab::tiny();
-    let slower = Lab::of(&TINY.replace("tau_ps = 112.0", "tau_ps = 160.0"), 1, Format::Trc);
+    let slower = Lab::of(&TINY.replace("tau_ps = 112.0", &format!("tau_ps = {tau_ps:?}")), 1, Format::Trc);
     for name in ["s1_C1.trc", "s1_C2.trc"] {
         fs::copy(slower.campaign().join("raw/response").join(name), lab.campaign().join("raw/response").join(name))
             .unwrap();
     }
     assert_eq!(run_scene(&lab, "out"), 0);
     let own = own(&page_of(&lab.path("out")));
-    let head = &own[own.find("id=\"verdict\"").unwrap()..own.find("<nav").unwrap()];
+    let head = own[own.find("id=\"verdict\"").unwrap()..own.find("<nav").unwrap()].to_owned();
+    (own, head)
+}
+
+#[test]
+fn a_wrong_response_is_not_explained_at_first_sight() {
+    let (own, head) = with_slower_calibration(220.0);
+    assert!(head.contains("class=\"verdict bad\"") && head.contains(" Not explained</p>"), "{head}");
+    assert!(head.contains("do not trust the positions") && head.contains("waveforms: not explained in"), "{head}");
+    // What the waveforms leave is to be seen, too: residuals far beyond noise.
+    let residuals = records(&own);
+    let residuals = residuals.values().flat_map(|record| numbers(&record["residual"]));
+    let largest = residuals.map(f64::abs).fold(0.0, f64::max);
+    assert!(largest > 5.0, "{largest}");
+}
+
+/// `recalibrate` corrects enough of this one for the waveforms: the head names it all the same.
+#[test]
+fn a_response_that_the_scene_corrected_is_named_at_first_sight() {
+    let (_, head) = with_slower_calibration(160.0);
     assert!(head.contains("class=\"verdict doubt\"") && head.contains(" Explained in part</p>"), "{head}");
     assert!(head.contains("response of s1: the calibration contradicts the scene"), "{head}");
+    assert!(head.contains("echoes of s1: the calibration contradicts the scene"), "{head}");
 }
 
 #[test]

@@ -38,6 +38,10 @@ const TAIL_REACH: f64 = 6.0;
 /// share of the area.
 const ECHO_SD: f64 = 0.01;
 const TAIL_SD: f64 = 0.02;
+/// Rounds: what a pulse must be worth in each as a share of the strongest, and whether the width alone is sought. What
+/// an error of the response makes of the strongest is less at first, and is corrected before it could be taken for
+/// light; a width that is off is corrected before what is not linear in it could be taken for echoes.
+const ROUNDS: [(f64, bool); 6] = [(1e-2, true), (1e-3, true), (1e-2, false), (1e-3, false), (0.0, false), (0.0, false)];
 /// Logarithm of the ratio of likelihoods that a change of the width must bring, and what more than that a change of the
 /// shape.
 const LEAST_GAIN: f64 = 7.0;
@@ -121,8 +125,7 @@ impl ResponseErrors {
     }
 
     /// Coefficients of the response as it is.
-    #[must_use]
-    pub fn none(&self) -> Vec<f64> {
+    fn none(&self) -> Vec<f64> {
         vec![0.0; self.shapes.len()]
     }
 
@@ -192,11 +195,23 @@ impl ResponseErrors {
         Some(ResponseScore { information, gradient })
     }
 
-    /// What all records say together, of the width alone or of the whole shape; `None` where the calibration's response
-    /// explains them as well, or they are too few. The model is linear in the coefficients of the records' fits: seek
-    /// the width first, since echoes explain what is not linear in it.
-    #[must_use]
-    pub fn estimate(&self, scores: &[ResponseScore], is_width_alone: bool) -> Option<OwnResponse> {
+    /// The response that the records show, in rounds, each linear in small coefficients; `None` where the calibration's
+    /// response explains them as well, or they are too few. `scores` has what [`Self::score`] says of each record, for
+    /// the coefficients and the least share of a round.
+    pub fn own_response(&self, scores: impl Fn(&[f64], f64) -> Vec<ResponseScore>) -> Option<OwnResponse> {
+        let mut own: Option<OwnResponse> = None;
+        for (least_share, is_width_alone) in ROUNDS {
+            let coefficients = own.map_or_else(|| self.none(), |own| own.coefficients);
+            own = self.estimate(&scores(&coefficients, least_share), is_width_alone);
+            if own.is_none() && !is_width_alone {
+                return None;
+            }
+        }
+        own
+    }
+
+    /// What all records say together, of the width alone or of the whole shape.
+    fn estimate(&self, scores: &[ResponseScore], is_width_alone: bool) -> Option<OwnResponse> {
         let shapes = self.shapes.len();
         let mut all = ResponseScore { information: vec![0.0; shapes * shapes], gradient: vec![0.0; shapes] };
         for score in scores {
@@ -208,7 +223,7 @@ impl ResponseErrors {
         let of_width = width.as_ref().map_or(0.0, |own| own.gain);
         // Where the pulses are as wide as calibrated or wider, a narrower response with a tail would imitate light that
         // patches spread.
-        let with_width = (width.is_some() || !self.may_spread).then_some(0);
+        let with_width = (of_width > LEAST_GAIN || !self.may_spread).then_some(0);
         let shapes: Vec<usize> = with_width.into_iter().chain(self.first_late()..shapes).collect();
         let shape = self.posterior(&all, &shapes).filter(is_allowed).filter(|_| !is_width_alone);
         let shape = shape.filter(|own| own.gain > of_width.max(LEAST_GAIN) + LEAST_MORE);

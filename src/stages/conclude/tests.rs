@@ -198,6 +198,28 @@ fn something_must_have_been_solved() {
     assert!(matches!(refused, Err(StageError::Refused(text)) if text.contains("`searches` of `locate`")));
 }
 
+/// Echoes that `recalibrate` added have a row with their share; a response that stands has none.
+#[test]
+fn echoes_of_a_corrected_response_have_a_row() {
+    let row = |sensor: &str, tail: Option<f64>| Calibration {
+        sensor: sensor.into(),
+        scene_tail: tail,
+        scene_evidence: tail.map(|_| 40.0),
+        ..Calibration::default()
+    };
+    let calibration = vec![row("s1", Some(0.004)), row("s2", None), row("s3", Some(-0.25))];
+    let rows = decisions(&Context { calibration, ..context(fit(50.0, 50)) });
+    let chosen = |what: &str| rows.iter().find(|row| &*row.what == what).map(|row| row.chosen.to_string());
+    assert_eq!(
+        chosen("echoes of s1").expect("a row"),
+        "corrected: 0.40 % more light in echoes or a tail than calibrated"
+    );
+    assert!(chosen("echoes of s2").is_none());
+    // So much is another response.
+    let far = chosen("echoes of s3").expect("a row");
+    assert!(far.starts_with("the calibration contradicts the scene") && far.contains("25.00 % less"), "{far}");
+}
+
 /// What onsets show of waveforms and response is told, one row a sensor.
 #[test]
 fn waveforms_and_responses_have_rows() {

@@ -13,6 +13,9 @@ const FEW: usize = 1;
 const CLAIM_SIGMA: f64 = 3.0;
 const CLAIM_SHARE: f64 = 0.005;
 
+/// Largest share of the light that cables and their ends put into echoes and a tail: more is another response.
+const TAIL_MAX: f64 = 0.05;
+
 /// A profile: sensor, lit and seen patch.
 type Key<'a> = (&'a Name, i32, i32);
 
@@ -48,12 +51,15 @@ pub(super) fn decisions(onsets: &[Onset]) -> Vec<Decision> {
 /// Echoes or a tail that `recalibrate` added to a response.
 pub(super) fn tail(row: &Calibration) -> Option<Decision> {
     let (share, evidence) = row.scene_tail.zip(row.scene_evidence)?;
+    let more = if share > 0.0 { "more" } else { "less" };
+    let is_far = share.abs() > TAIL_MAX;
+    let verdict = if is_far { "the calibration contradicts the scene, and was corrected" } else { "corrected" };
     Some(Decision {
         log_likelihood_ratio: Some(evidence),
         runner_up: Some("the response of the response captures".into()),
         ..decision(
             &format!("echoes of {}", row.sensor),
-            &format!("corrected: {:.2} % more light in echoes or a tail than calibrated", 1e2 * share),
+            &format!("{verdict}: {:.2} % {more} light in echoes or a tail than calibrated", 1e2 * share.abs()),
             &format!("as much in all profiles, whatever lies where: log-likelihood ratio {evidence:.1}"),
             "response captures with the same cables and on the same day",
         )
