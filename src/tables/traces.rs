@@ -2,8 +2,7 @@
 
 use std::ops::Range;
 
-use arrow_array::{Array, ArrayRef, RecordBatch, UInt32Array, new_null_array};
-use arrow_select::take::take_record_batch;
+use arrow_array::{Array, ArrayRef, RecordBatch, new_null_array};
 
 use super::cell::{Cell, Codes, Name};
 use super::row::Row;
@@ -218,10 +217,7 @@ impl Records {
     /// The rows.
     #[must_use]
     pub fn to_batch(&self) -> RecordBatch {
-        // Each shared row is made once, and then copied column by column.
-        let shared = Trace::to_batch_of(self.shared.iter().map(|shared| &shared.row));
-        let of_record = UInt32Array::from_iter_values(self.own.iter().map(|own| own.shared as u32));
-        let rows = take_record_batch(&shared, &of_record).expect("records have a shared row");
+        let rows = Trace::to_batch_of(self.own.iter().map(|own| &self.shared[own.shared].row));
         with(
             &rows,
             [
