@@ -10,8 +10,10 @@
 //! L(q) = sum over profiles of log(1 - p + p sum over arrivals of N(arrival; |q - a| + |q - b|, sd^2) left / lambda)
 //! ```
 //!
-//! is the log-likelihood ratio of one more patch at q. It needs no minimal set of arrivals, no (i,i) profile, and no
-//! number of patches. Patches are found one after the other: the place where L is largest in all of space ([`search`]),
+//! is the log-likelihood ratio of one more patch at q. A patch may also be too faint in all light that one visible patch
+//! throws to the sensor, because that patch is small or turned away, or because something stands between. So the sum is
+//! taken over the profiles of each seen patch, and `log(1 - v + v exp(sum))` counts, with the probability v that the
+//! hidden patch shows there. It needs no minimal set of arrivals, no (i,i) profile, and no number of patches. Patches are found one after the other: the place where L is largest in all of space ([`search`]),
 //! climbed to its top (`climb`), is a patch if the evidence
 //!
 //! ```text
@@ -61,6 +63,8 @@ pub use surface::Surface;
 
 /// Share of ways on which a patch is taken to be seen before anything is known of it.
 const SEEN: f64 = 0.8;
+/// Probability that a patch shows in the profiles of a seen patch at all.
+const SHOWN: f64 = 0.8;
 /// Rounds of proposals at most.
 const ROUNDS: usize = 12;
 
@@ -112,6 +116,8 @@ impl Way {
 /// Arrivals of a lit and a seen patch, and the ways on which a hidden patch may make them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
+    /// Position of the seen patch among those that are seen.
+    seen: usize,
     ways: Vec<Way>,
     arrivals: Vec<Arrival>,
     paths: Vec<Path>,
@@ -120,19 +126,20 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Of the patches at two positions among the foci; `span_m` is the range of lengths that the record holds.
+    /// Of the lit and the seen patch at two positions among the foci; `span_m` is the range of lengths that the record
+    /// holds.
     #[must_use]
     pub fn new(foci: [usize; 2], arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
-        Self::over(vec![Way::new(foci, 0.0, 0.0)], arrivals, paths, span_m)
+        Self::over(foci[1], vec![Way::new(foci, 0.0, 0.0)], arrivals, paths, span_m)
     }
 
-    /// With several ways; each may make its own arrival.
+    /// Of a patch at a position among those that are seen, with several ways; each may make its own arrival.
     #[must_use]
-    pub fn over(ways: Vec<Way>, mut arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
+    pub fn over(seen: usize, ways: Vec<Way>, mut arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
         arrivals.retain(|arrival| (span_m[0]..=span_m[1]).contains(&arrival.length_m));
         arrivals.sort_by(|a, b| a.length_m.total_cmp(&b.length_m));
         let widest_m = arrivals.iter().map(|arrival| arrival.sd_m).fold(0.0, f64::max);
-        Self { ways, arrivals, paths, span_m, widest_m }
+        Self { seen, ways, arrivals, paths, span_m, widest_m }
     }
 
     /// Gives its arrivals other standard deviations, in their order.

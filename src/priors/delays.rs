@@ -78,7 +78,8 @@ struct SolvedDelay {
 #[derive(Debug)]
 struct Drift {
     from_s: f64,
-    step_s: f64,
+    /// Since then, ascending.
+    knots_s: Vec<f64>,
     values_ps: Vec<f64>,
     /// Of delay and drift together.
     sds_ps: Vec<f64>,
@@ -86,18 +87,24 @@ struct Drift {
 
 impl Drift {
     fn new(row: &Delay) -> Option<Self> {
-        Some(Self {
+        let drift = Self {
             from_s: acquisition_time::seconds(row.drift_from.as_deref()?)?,
-            step_s: row.drift_step_s.filter(|step_s| *step_s > 0.0)?,
-            values_ps: row.drift_ps.clone().filter(|values| !values.is_empty())?,
-            sds_ps: row.drift_sd_ps.clone().filter(|sds| Some(sds.len()) == row.drift_ps.as_ref().map(Vec::len))?,
-        })
+            knots_s: row.drift_knots_s.clone()?,
+            values_ps: row.drift_ps.clone()?,
+            sds_ps: row.drift_sd_ps.clone()?,
+        };
+        let lengths = [drift.values_ps.len(), drift.sds_ps.len()];
+        (drift.knots_s.len() > 1 && lengths == [drift.knots_s.len(); 2]).then_some(drift)
     }
 
     /// At a time; at one that is not known, the middle of all, which is off by as much as the drift goes.
     fn at(&self, time_s: Option<f64>) -> (f64, f64) {
         if let Some(time_s) = time_s {
-            return corrections::at(&self.values_ps, &self.sds_ps, (time_s - self.from_s) / self.step_s);
+            let since_s = time_s - self.from_s;
+            let knot = self.knots_s.partition_point(|knot_s| *knot_s < since_s).clamp(1, self.knots_s.len() - 1) - 1;
+            let step_s = self.knots_s[knot + 1] - self.knots_s[knot];
+            let position = knot as f64 + (since_s - self.knots_s[knot]) / step_s;
+            return corrections::at(&self.values_ps, &self.sds_ps, position);
         }
         let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let least_ps = self.values_ps.iter().copied().fold(f64::INFINITY, f64::min);
@@ -150,7 +157,7 @@ mod tests {
             delay_ps: 3.0,
             sd_ps: 0.5,
             drift_from: Some("2026-05-12T09:00:00".into()),
-            drift_step_s: Some(3600.0),
+            drift_knots_s: Some(vec![0.0, 3600.0, 7200.0]),
             drift_ps: Some(vec![0.0, 4.0, 2.0]),
             drift_sd_ps: Some(vec![1.0, 2.0, 3.0]),
             ..Delay::default()

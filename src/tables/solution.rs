@@ -24,8 +24,8 @@ table! {
         /// Wall-clock time of the first knot of the drift (ISO 8601, time zone of the instrument): that of the sensor's
         /// first capture. Null where the onsets show no drift.
         drift_from: Option<Name>,
-        /// Time between its knots, in seconds.
-        drift_step_s: Option<f64>,
+        /// Time of each knot since then, in seconds, ascending.
+        drift_knots_s: Option<Vec<f64>>,
         /// What the drift adds to the delay at each knot.
         drift_ps: Option<Vec<f64>>,
         /// Standard deviation of delay and drift together at each knot.

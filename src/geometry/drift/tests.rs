@@ -12,6 +12,8 @@ use crate::{Point, procrustes};
 /// Metres of path in a picosecond.
 const C: f64 = 2.997_924_58e-4;
 const SD_M: f64 = 2.0 * C;
+/// Each length has its time.
+const STEPS: usize = 64;
 
 /// Eight patches; first and second bounces of all pairs, both ways, one after the other.
 struct Day {
@@ -41,13 +43,19 @@ fn day(drift_m: f64, factor: f64, seed: u64) -> Day {
     Day { truth, observations, walk_m }
 }
 
+/// Through the times of all lengths.
+fn walk() -> Walk {
+    let times: Vec<f64> = (0..=64).map(|n| f64::from(n) / 64.0).collect();
+    Walk::through(&times).expect("several times")
+}
+
 /// With a walk of this standard deviation at its end.
 fn problem(day: &Day, walk_sd_m: f64) -> Problem {
     let mut observations = day.observations.clone();
+    let walk = walk();
     for (n, observation) in observations.iter_mut().enumerate() {
-        let place = (n as f64 + 1.0) / 64.0;
-        observation.common.extend(terms(place).map(|term| term * walk_sd_m).into_iter().enumerate());
-        observation.sd_m = observation.sd_m.hypot(walk_sd_m * variance_left(place).sqrt());
+        let terms = walk.terms((n as f64 + 1.0) / 64.0);
+        observation.common.extend(terms.into_iter().map(|term| term * walk_sd_m).enumerate());
     }
     Problem::new(day.truth.clone(), 3, &[Point::origin()], observations).with_common_delay(C)
 }
@@ -58,19 +66,32 @@ fn size(day: &Day) -> (f64, f64) {
     for _ in 0..4 {
         let solution = solve(&problem(day, sd_m)).unwrap();
         let scale;
-        (scale, gain) = Evidence::new(&solution, 0..TERMS).unwrap().size();
+        (scale, gain) = Evidence::new(&solution, 0..STEPS).unwrap().size();
         sd_m *= scale;
     }
     (sd_m, gain)
 }
 
+/// Covariances of a walk are the smaller of both times, also between knots that are fewer than times.
 #[test]
 fn the_terms_are_those_of_a_walk() {
-    for (a, b) in [(0.2, 0.2), (0.2, 0.7), (1.0, 1.0), (0.5, 1.0)] {
-        let sum: f64 = terms(a).iter().zip(terms(b)).map(|(a, b)| a * b).sum();
-        assert!((sum - f64::min(a, b)).abs() < 0.01, "{a} {b}: {sum}");
+    let times: Vec<f64> = (0..=4 * KNOTS).map(|n| (n as f64 / (4 * KNOTS) as f64).powi(2)).collect();
+    let (few, all) = (Walk::through(&times).unwrap(), walk());
+    assert_eq!((few.knots().len(), few.knots()[0], few.knots()[KNOTS - 1]), (KNOTS, 0.0, 1.0));
+    assert_eq!(all.knots().len(), STEPS + 1);
+    assert!(Walk::through(&[3.0, 3.0]).is_none());
+    let product =
+        |walk: &Walk, a: f64, b: f64| -> f64 { walk.terms(a).iter().zip(walk.terms(b)).map(|(a, b)| a * b).sum() };
+    for walk in [&few, &all] {
+        for (a, b) in [(0.0, 1.0), (0.2, 0.7), (0.31, 0.93), (0.5, 1.0)] {
+            assert!((product(walk, a, b) - a).abs() < 1e-9, "{a} {b}");
+            for time in [a, b] {
+                let variance = product(walk, time, time) + walk.variance_left(time);
+                assert!((variance - time).abs() < 1e-9, "{time}: {variance}");
+            }
+        }
     }
-    assert!(variance_left(0.0) == 0.0 && variance_left(0.5) > 0.0 && variance_left(0.5) < 0.01);
+    assert!(all.variance_left(0.5) == 0.0 && few.variance_left(0.5) < 0.01);
 }
 
 /// The gain is what the likelihood says when it is computed from the covariance of all lengths at once.
@@ -78,8 +99,8 @@ fn the_terms_are_those_of_a_walk() {
 fn the_gain_of_a_size_is_that_of_a_solution_with_it() {
     let day = day(20.0 * C, 1.0, 3);
     let solution = solve(&Problem { loss: Loss::Squared, ..problem(&day, 20.0 * C) }).unwrap();
-    let evidence = Evidence::new(&solution, 0..TERMS).unwrap();
-    // Without the walk, but for what its terms leave.
+    let evidence = Evidence::new(&solution, 0..STEPS).unwrap();
+    // Without the walk.
     let mut none = problem(&day, 20.0 * C);
     none.observations.iter_mut().for_each(|observation| observation.common.clear());
     none.loss = Loss::Squared;
@@ -112,8 +133,7 @@ fn a_walk_is_recovered_with_errors_of_the_right_size() {
         let solution = solve(&problem).unwrap();
         for (n, walk_m) in day.walk_m.iter().enumerate() {
             let (sum_m, variance_m2) = solution.addition_m(Some(0), &problem.observations[n].common);
-            let left_m2 = sd_m * sd_m * variance_left((n as f64 + 1.0) / 64.0);
-            of_walks += (sum_m - walk_m).powi(2) / (solution.misfit * (variance_m2 + left_m2)) / (count * 64.0);
+            of_walks += (sum_m - walk_m).powi(2) / (solution.misfit * variance_m2) / (count * 64.0);
         }
         squares += squares_m2(&solution.points, &day.truth);
         let variances_m2 = (0..8).map(|patch| solution.patch_covariance_m2(patch, patch).trace());
@@ -151,5 +171,5 @@ fn nothing_is_said_where_nothing_checks() {
     day.truth.truncate(1);
     day.observations.truncate(1);
     let solution = solve(&problem(&day, C));
-    assert!(solution.is_err() || Evidence::new(&solution.unwrap(), 0..TERMS).is_none());
+    assert!(solution.is_err() || Evidence::new(&solution.unwrap(), 0..STEPS).is_none());
 }

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
 
 use super::surface::Surface;
-use super::{Focus, Profile, blend};
+use super::{Focus, Profile, SHOWN, blend};
 use crate::Point;
 
 /// Arrivals further off than this many standard deviations were not made by the patch.
@@ -46,8 +46,37 @@ pub struct Estimate {
     pub arrivals: f64,
     /// Ways that could have recorded it.
     pub ways: usize,
-    /// The same less those on which arrivals of other paths hide its own, expected.
+    /// The same of the seen patches over which it shows, less those on which arrivals of other paths hide its own,
+    /// expected.
     pub clear: f64,
+}
+
+/// What the profiles of one seen patch say.
+#[derive(Clone, Copy)]
+struct OfSeen {
+    likelihood: f64,
+    information: Matrix3<f64>,
+    right: Vector3<f64>,
+    arrivals: f64,
+    clear: f64,
+}
+
+impl OfSeen {
+    const NOTHING: Self = Self {
+        likelihood: 0.0,
+        information: Matrix3::from_array_storage(nalgebra::ArrayStorage([[0.0; 3]; 3])),
+        right: Vector3::new(0.0, 0.0, 0.0),
+        arrivals: 0.0,
+        clear: 0.0,
+    };
+
+    /// Log-likelihood ratio where it may also not show at all, and the probability that it shows.
+    fn shown(&self) -> (f64, f64) {
+        // The larger term first, so that nothing overflows.
+        let (shows, not) = (SHOWN.ln() + self.likelihood, (1.0 - SHOWN).ln());
+        let sum = shows.max(not) + (-(shows - not).abs()).exp().ln_1p();
+        (sum, (shows - sum).exp())
+    }
 }
 
 impl View<'_> {
@@ -73,13 +102,15 @@ impl View<'_> {
             ways: 0,
             clear: 0.0,
         };
-        let mut right = Vector3::zeros();
+        let seen = self.profiles.iter().map(|profile| profile.seen + 1).max().unwrap_or(0);
+        let mut of_seen = vec![OfSeen::NOTHING; seen];
         let root = (2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m;
         let mut near: Vec<(usize, f64, f64, f64)> = Vec::new();
         // Arrivals with the share of each that the profile's ways so far do not take.
         let mut taken: Vec<(usize, f64)> = Vec::new();
         for (profile, left) in self.profiles.iter().zip(self.left) {
             taken.clear();
+            let of_seen = &mut of_seen[profile.seen];
             for way in &profile.ways {
                 let legs = match surface {
                     Surface::Patch => {
@@ -95,7 +126,7 @@ impl View<'_> {
                 }
                 place.ways += 1;
                 let clear = 1.0 - blend::hidden(&profile.arrivals, left, length_m, self.blend_m);
-                place.clear += clear;
+                of_seen.clear += clear;
                 let (seen, scale) = (self.seen * clear, self.seen * clear / root);
                 near.clear();
                 let reach_m = GATE * widened * way.sd_m(profile.widest_m);
@@ -112,17 +143,26 @@ impl View<'_> {
                     sum += weight;
                     near.push((n, weight, off_m, sd_m));
                 }
-                place.likelihood += sum.ln();
+                of_seen.likelihood += sum.ln();
                 for &(n, weight, off_m, sd_m) in &near {
                     let share = weight / sum;
-                    place.arrivals += share;
-                    place.information += slope * slope.transpose() * (share / (sd_m * sd_m));
-                    right += slope * (share * off_m / (sd_m * sd_m));
+                    of_seen.arrivals += share;
+                    of_seen.information += slope * slope.transpose() * (share / (sd_m * sd_m));
+                    of_seen.right += slope * (share * off_m / (sd_m * sd_m));
                     if profile.ways.len() > 1 {
                         taken.push((n, 1.0 - share));
                     }
                 }
             }
+        }
+        let mut right = Vector3::zeros();
+        for of_seen in of_seen.iter().filter(|of_seen| of_seen.clear > 0.0) {
+            let (likelihood, shown) = of_seen.shown();
+            place.likelihood += likelihood;
+            place.information += of_seen.information * shown;
+            right += of_seen.right * shown;
+            place.arrivals += of_seen.arrivals * shown;
+            place.clear += of_seen.clear * shown;
         }
         (place, right)
     }

@@ -10,7 +10,7 @@ use super::plane_seeds;
 use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
 use super::surface::Surface;
-use super::{SEEN, Way, blend};
+use super::{Profile, SEEN, Way, blend};
 use crate::Point;
 
 /// Values of curves per standard deviation.
@@ -22,6 +22,8 @@ const PROMISING: f64 = 0.6;
 const CLIMBS: usize = 400;
 /// Bases whose arrivals are crossed at a time.
 const BASES: usize = 4;
+/// Starts are sought over seen patches whose profiles have this share of the unexplained arrivals of the richest ones.
+const SHOWS: f64 = 0.5;
 /// An arrival is unexplained if the probabilities of paths leave more than this of it.
 const UNEXPLAINED: f64 = 0.5;
 /// Reciprocal arrivals nearer than this many standard deviations are one.
@@ -68,7 +70,9 @@ impl Explanation<'_> {
     fn unexplained(&self, claims: Claims) -> Vec<Lengths> {
         type OfPair = (usize, [f64; 2], Vec<(f64, f64)>, Vec<f64>);
         let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
-        for (profile, left) in self.profiles.iter().zip(self.left_of(claims)) {
+        let left = self.left_of(claims);
+        let shows = self.shows(&left);
+        for (profile, left) in self.profiles.iter().zip(left).filter(|(profile, _)| shows[profile.seen]) {
             let (profiles, span_m, lengths_m, claimed_m) =
                 pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new(), Vec::new()));
             *profiles += 1;
@@ -102,6 +106,22 @@ impl Explanation<'_> {
         pairs.into_iter().map(of_pair).collect()
     }
 
+    /// Seen patches over which starts are sought. Those over which little is unexplained say nothing of where a patch
+    /// is, and many of them would only say that there is none. What shows over them alone is sought when the others are
+    /// explained.
+    fn shows(&self, left: &[Vec<f64>]) -> Vec<bool> {
+        let count = self.profiles.iter().map(|profile| profile.seen + 1).max().unwrap_or(0);
+        let mut of_seen = vec![[0.0, f64::MIN_POSITIVE]; count];
+        for (profile, left) in self.profiles.iter().zip(left) {
+            let [unexplained, profiles] = &mut of_seen[profile.seen];
+            *unexplained += left.iter().filter(|left| **left > UNEXPLAINED).count() as f64;
+            *profiles += 1.0;
+        }
+        let shares: Vec<f64> = of_seen.iter().map(|[unexplained, profiles]| unexplained / profiles).collect();
+        let most = shares.iter().copied().fold(0.0, f64::max);
+        shares.into_iter().map(|share| share >= SHOWS * most).collect()
+    }
+
     /// Lengths over the same two foci that most profiles repeat.
     fn repeated(&self) -> Vec<Lengths> {
         let left = self.left();
@@ -128,7 +148,7 @@ impl Explanation<'_> {
                 seen: SEEN,
             }
         };
-        self.of_foci().into_par_iter().map(of_foci).collect()
+        self.of_foci(|_| true).into_par_iter().map(of_foci).collect()
     }
 
     /// The first [`CLIMBS`] places, none near an earlier one.
@@ -164,18 +184,19 @@ impl Explanation<'_> {
     /// What each length is worth to one more patch, ways over the same two foci together.
     pub(super) fn legs(&self, left: &[Vec<f64>]) -> Vec<Legs> {
         let missed = (1.0 - SEEN).ln() as f32;
+        let shows = self.shows(left);
         let legs = |(foci, ways): ([usize; 2], Vec<(usize, Way)>)| Legs {
             foci,
             profiles: ways.len(),
             curve: self.curve(&ways, left, missed),
         };
-        self.of_foci().into_par_iter().map(legs).collect()
+        self.of_foci(|profile| shows[profile.seen]).into_par_iter().map(legs).collect()
     }
 
-    /// Ways over the same two foci, each with its profile.
-    fn of_foci(&self) -> Vec<([usize; 2], Vec<(usize, Way)>)> {
+    /// Ways of some profiles over the same two foci, each with its profile.
+    fn of_foci(&self, counts: impl Fn(&Profile) -> bool) -> Vec<([usize; 2], Vec<(usize, Way)>)> {
         let mut of_foci: BTreeMap<[usize; 2], Vec<(usize, Way)>> = BTreeMap::new();
-        for (n, profile) in self.profiles.iter().enumerate() {
+        for (n, profile) in self.profiles.iter().enumerate().filter(|(_, profile)| counts(profile)) {
             profile.ways.iter().for_each(|way| of_foci.entry(way.foci).or_default().push((n, *way)));
         }
         of_foci.into_iter().collect()

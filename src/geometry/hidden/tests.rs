@@ -61,6 +61,19 @@ fn blended_arrivals_hide_no_patch_and_make_none_up() {
     assert!(with == 0 && without >= 3, "{with} {without}");
 }
 
+/// Five of eight patches are small or turned away: a quarter of the profiles shows what is hidden.
+#[test]
+fn patches_that_show_over_few_others_are_found() {
+    let base = Setting { dark: 5, ..Setting::new(8, 2, sd_m(8.0), 0.1, 0) };
+    for setting in [base, Setting { merged_m: sd_m(100.0), ..base }, Setting { spurious: 1, ..base }] {
+        for seed in 0..4 {
+            let drawn = draw(&setting, seed);
+            let result = score(&drawn, &points(&find(&drawn.profiles, &drawn.room)));
+            assert!(result.is_right(), "{setting:?}, seed {seed}: {result:?}");
+        }
+    }
+}
+
 /// The search's own error bars, visible patches exact.
 #[test]
 fn covariances_are_as_large_as_the_errors() {
@@ -199,7 +212,8 @@ fn curves_add_up_to_the_likelihood() {
             let foci = profile.ways[0].foci.map(|focus| drawn.room.foci[focus].point);
             let length_m = foci.iter().map(|focus| (drawn.hidden[0] - focus).norm()).sum();
             let paths = vec![Path { length_m, sd_m: 1e-4, seen: 0.9 }];
-            Profile::new(profile.ways[0].foci, profile.arrivals.clone(), paths, profile.span_m)
+            // As if of one seen patch: what shows there shows in all of them.
+            Profile::over(0, profile.ways.clone(), profile.arrivals.clone(), paths, profile.span_m)
         };
         let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
         let all = Explanation::new(&profiles, &drawn.room).expect("arrivals");
@@ -215,8 +229,9 @@ fn curves_add_up_to_the_likelihood() {
             };
             let sum: f64 = legs.iter().map(value).sum();
             let likelihood = all.view(Surface::Patch, all.left(), SEEN).place(at).likelihood;
+            let expected = (1.0 - SHOWN + SHOWN * sum.exp()).ln();
             // A curve is known at every third of a standard deviation.
-            assert!((sum - likelihood).abs() < 0.01 * likelihood.abs() + 0.5, "{sum} {likelihood}");
+            assert!((expected - likelihood).abs() < 0.01 * likelihood.abs() + 0.5, "{expected} {likelihood}");
         }
     }
 }
@@ -267,7 +282,11 @@ fn the_likelihood_is_that_of_the_formula() {
             let sum: f64 = profile.arrivals.iter().map(density).sum();
             (0.3 + 0.7 * sum / scene.clutter_per_m).ln()
         };
-        let expected: f64 = drawn.profiles.iter().map(of_profile).sum();
+        let of_seen = |seen: usize| -> f64 {
+            let sum: f64 = drawn.profiles.iter().filter(|profile| profile.seen == seen).map(of_profile).sum();
+            (1.0 - SHOWN + SHOWN * sum.exp()).ln()
+        };
+        let expected: f64 = (0..4).map(of_seen).sum();
         assert!((view.place(q).likelihood - expected).abs() < 1e-3, "{} {expected}", view.place(q).likelihood);
     }
 }
@@ -336,10 +355,12 @@ fn an_arrival_is_taken_once() {
     let arrival = Arrival { length_m: 2.0, sd_m: 0.01 };
     let at = Point::new(0.5, 0.75_f64.sqrt(), 0.0);
     let likelihood = |ways: usize| {
-        let profiles = [Profile::over(vec![Way::new([0, 1], 0.0, 0.0); ways], vec![arrival], Vec::new(), [0.0, 3.0])];
+        let profiles =
+            [Profile::over(0, vec![Way::new([0, 1], 0.0, 0.0); ways], vec![arrival], Vec::new(), [0.0, 3.0])];
         let scene = Explanation::new(&profiles, &room).expect("there is an arrival");
         let left = scene.left();
-        scene.view(Surface::Patch, left, 0.7).place(at).likelihood.exp()
+        let likelihood = scene.view(Surface::Patch, left, 0.7).place(at).likelihood;
+        (likelihood.exp() - (1.0 - SHOWN)) / SHOWN
     };
     let weight = likelihood(1) - 0.3;
     assert!((likelihood(2) - (0.3 * 0.3 + 2.0 * 0.3 * weight)).abs() < 1e-9);

@@ -42,10 +42,10 @@ pub(super) fn deep_profiles(
 ) -> Vec<hidden::Profile> {
     each(sensors, graphs, |legs, graph, span_m| {
         let (lit, seen) = legs.view.profile.pair();
-        visible.binary_search(&lit).ok().and(visible.binary_search(&seen).ok())?;
+        let to = visible.binary_search(&lit).ok().and(visible.binary_search(&seen).ok())?;
         let paths = legs.paths(graph, DEEP, chances);
         let ways = ways(graph.scene, [lit, seen], shown_by, span_m[1]);
-        Some(hidden::Profile::over(ways, legs.arrivals(span_m), paths, span_m))
+        Some(hidden::Profile::over(to, ways, legs.arrivals(span_m), paths, span_m))
     })
 }
 

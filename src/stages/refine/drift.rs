@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use super::model::Model;
-use crate::geometry::drift::{TERMS, terms, variance_left};
+use crate::geometry::drift;
 use crate::geometry::maximum_likelihood::{Observation, Problem, Solution};
 use crate::geometry::repeats::Repeats;
 use crate::priors::acquisition_time;
@@ -38,7 +38,7 @@ pub struct Drift {
 /// A walk from the first to the last capture of a sensor.
 #[derive(Clone)]
 struct Walk {
-    /// Number of its first error.
+    /// Number of its first error: that from the calibration to the first capture. Then follow those of its steps.
     first: usize,
     /// When the first capture was taken, as its file says it.
     from: Name,
@@ -46,12 +46,15 @@ struct Walk {
     span_s: f64,
     /// From the calibration to the first capture.
     before_s: f64,
+    /// From 0 s on.
+    steps: drift::Walk,
 }
 
-/// A drift at equal steps of time.
+/// A drift at the times of captures.
 pub struct Knots {
     pub from: Name,
-    pub step_s: f64,
+    /// Since then.
+    pub times_s: Vec<f64>,
     /// Of each, the common errors that make it, m per standard deviation.
     pub errors: Vec<Vec<(usize, f64)>>,
 }
@@ -68,10 +71,10 @@ impl Drift {
         for label in model.labels {
             of_sensors.entry((label.campaign.clone(), label.sensor.clone())).or_default().push(label);
         }
-        let mut walks = BTreeMap::new();
+        let (mut walks, mut next) = (BTreeMap::new(), first);
         for (key, labels) in of_sensors {
-            let first = first + walks.len() * (TERMS + 1);
-            if let Some(walk) = Walk::new(&labels, model.context.calibrated_at.get(&key), first) {
+            if let Some(walk) = Walk::new(&labels, model.context.calibrated_at.get(&key), next) {
+                next = walk.errors().end;
                 walks.insert(key, walk);
             }
         }
@@ -87,7 +90,7 @@ impl Drift {
 
     /// Numbers of the errors.
     pub fn errors(&self) -> Range<usize> {
-        self.first..self.first + self.walks.len() * (TERMS + 1)
+        self.first..self.walks.values().map(|walk| walk.errors().end).max().unwrap_or(self.first)
     }
 
     /// The same with walks that go so many times as far.
@@ -99,9 +102,9 @@ impl Drift {
     pub fn add_to(&self, label: &Label, observation: &mut Observation) {
         let walk = self.walks.get(&(label.campaign.clone(), label.sensor.clone()));
         if let Some((walk, time_s)) = walk.zip(time_s(label.acquired_at.as_ref())) {
-            let place = (time_s - walk.from_s) / walk.span_s;
-            observation.common.extend(self.errors_at(walk, place));
-            observation.sd_m = observation.sd_m.hypot(self.sd_m(walk.span_s) * variance_left(place).sqrt());
+            let since_s = time_s - walk.from_s;
+            observation.common.extend(self.errors_at(walk, since_s));
+            observation.sd_m = observation.sd_m.hypot(self.sd_m(walk.steps.variance_left(since_s)));
         }
     }
 
@@ -110,17 +113,18 @@ impl Drift {
         self.size_m * (span_s / self.span_s).sqrt()
     }
 
-    fn errors_at(&self, walk: &Walk, place: f64) -> Vec<(usize, f64)> {
-        let sd_m = self.sd_m(walk.span_s);
-        let of_walk = terms(place).map(|term| sd_m * term);
-        (walk.first..).zip(of_walk.into_iter().chain([self.sd_m(walk.before_s)])).collect()
+    fn errors_at(&self, walk: &Walk, since_s: f64) -> Vec<(usize, f64)> {
+        let one_second_m = self.sd_m(1.0);
+        let of_steps = walk.steps.terms(since_s).into_iter().map(|term| one_second_m * term);
+        (walk.first..).zip([self.sd_m(walk.before_s)].into_iter().chain(of_steps)).collect()
     }
 
     /// The drift of a sensor; `None` where it has none.
     pub fn knots(&self, campaign: &Name, sensor: &Name) -> Option<Knots> {
         let walk = self.walks.get(&(campaign.clone(), sensor.clone()))?;
-        let errors = (0..=TERMS).map(|knot| self.errors_at(walk, knot as f64 / TERMS as f64)).collect();
-        Some(Knots { from: walk.from.clone(), step_s: walk.span_s / TERMS as f64, errors })
+        let times_s = walk.steps.knots().to_vec();
+        let errors = times_s.iter().map(|since_s| self.errors_at(walk, *since_s)).collect();
+        Some(Knots { from: walk.from.clone(), times_s, errors })
     }
 
     /// Sensors that drift, but have no delay of their own among `delays`, since their latency is exact.
@@ -154,9 +158,15 @@ impl Walk {
         let times_s: Vec<f64> = labels.iter().map(|label| time_s(label.acquired_at.as_ref())).collect::<Option<_>>()?;
         let earliest = (0..labels.len()).min_by(|a, b| times_s[*a].total_cmp(&times_s[*b]))?;
         let from_s = times_s[earliest];
-        let span_s = times_s.iter().fold(0.0, |most: f64, time_s| most.max(time_s - from_s));
+        let since_s: Vec<f64> = times_s.iter().map(|time_s| time_s - from_s).collect();
+        let steps = drift::Walk::through(&since_s)?;
         let before_s = time_s(calibrated_at).map_or(0.0, |time_s| (from_s - time_s).abs());
         let from = labels[earliest].acquired_at.clone()?;
-        (span_s > 0.0).then_some(Self { first, from, from_s, span_s, before_s })
+        Some(Self { first, from, from_s, span_s: *steps.knots().last()?, before_s, steps })
+    }
+
+    /// Numbers of its errors.
+    fn errors(&self) -> Range<usize> {
+        self.first..self.first + self.steps.knots().len()
     }
 }

@@ -67,6 +67,11 @@ pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (So
     for _ in 0..ROUNDS {
         // What the model does not explain makes likelihoods look more certain than they are.
         let misfit = best.misfit;
+        // Other places may be this one, once errors that onsets have in common are solved for too.
+        let compared = Best::new(&best);
+        let is_elsewhere = |other: &Solution| {
+            other.loss < best.loss - LOWER || !compared.moved(&compared.turned(&other.points)).is_empty()
+        };
         let starts = placement::alternatives(problem, &best.points, &best.unplaced()).into_iter();
         let solved = starts.filter(|start| !is_turned(&start.kind, &best)).filter_map(|start| {
             let solution = maximum_likelihood::solve(&Problem { start: start.points, ..problem.clone() }).ok()?;
@@ -75,7 +80,8 @@ pub fn alternatives(model: &Model, problem: &Problem, mut best: Solution) -> (So
             Some(Other { patches: start.patches, kind, log_likelihood, solution })
         });
         others.clear();
-        for other in solved.filter(|other| -2.0 * other.log_likelihood < LIKELY) {
+        let counts = |other: &Other| other.kind == OtherKind::Mirror || is_elsewhere(&other.solution);
+        for other in solved.filter(|other| -2.0 * other.log_likelihood < LIKELY && counts(other)) {
             if others.len() < ALTERNATIVES && !others.iter().any(|old| old.is_same(&other)) {
                 others.push(other);
             }
@@ -137,21 +143,46 @@ fn add_rival(model: &Model, problem: &Problem, best: &Solution, rival: &Rival, o
     others.push(Other { patches, kind, log_likelihood, solution });
 }
 
-/// Turns a solution whose frame nothing fixes onto the best one, by the half of the patches that fit best: others may
-/// be elsewhere.
-fn turn_onto(best: &Solution, sds_m: &[f64], solution: &mut Solution) {
-    if best.free_rotations.first().is_none_or(|free| *free == 0) {
-        return;
+/// The best solution, as others are compared with it.
+struct Best<'a> {
+    solution: &'a Solution,
+    /// Standard deviations of its patches.
+    sds_m: Vec<f64>,
+}
+
+impl<'a> Best<'a> {
+    fn new(solution: &'a Solution) -> Self {
+        let sd_m = |place: usize| solution.patch_covariance_m2(place, place).trace().max(0.0).sqrt();
+        Self { solution, sds_m: (0..solution.points.len()).map(sd_m).collect() }
     }
-    let centre = best.stations[0];
-    let mut kept: Vec<usize> = (0..best.points.len()).filter(|place| !best.open.contains(place)).collect();
-    for share in [2, 1] {
-        let of = |points: &[Point]| -> Vec<Point> { kept.iter().map(|place| points[*place]).collect() };
-        let fit = procrustes::rotation(&of(&solution.points), &of(&best.points), centre, false);
-        solution.points.iter_mut().for_each(|point| *point = procrustes::turn(&fit.matrix, centre, *point));
-        let off = |place: &usize| (solution.points[*place] - best.points[*place]).norm() / sds_m[*place];
-        kept.sort_by(|a, b| off(a).total_cmp(&off(b)));
-        kept.truncate(kept.len().div_ceil(share));
+
+    /// Places turned onto the best ones, if nothing fixes the frame, by the half of the patches that fit best: others
+    /// may be elsewhere.
+    fn turned(&self, points: &[Point]) -> Vec<Point> {
+        let (best, mut points) = (self.solution, points.to_vec());
+        if best.free_rotations.first().is_none_or(|free| *free == 0) {
+            return points;
+        }
+        let centre = best.stations[0];
+        let mut kept: Vec<usize> = (0..points.len()).filter(|place| !best.open.contains(place)).collect();
+        for share in [2, 1] {
+            let of = |points: &[Point]| -> Vec<Point> { kept.iter().map(|place| points[*place]).collect() };
+            let fit = procrustes::rotation(&of(&points), &of(&best.points), centre, false);
+            points.iter_mut().for_each(|point| *point = procrustes::turn(&fit.matrix, centre, *point));
+            let off = |place: &usize| (points[*place] - best.points[*place]).norm() / self.sds_m[*place];
+            kept.sort_by(|a, b| off(a).total_cmp(&off(b)));
+            kept.truncate(kept.len().div_ceil(share));
+        }
+        points
+    }
+
+    /// Patches that turned places move by more than their errors say.
+    fn moved(&self, turned: &[Point]) -> Vec<usize> {
+        let best = self.solution;
+        let is_moved = |&place: &usize| {
+            !best.open.contains(&place) && (turned[place] - best.points[place]).norm() > SAME * self.sds_m[place]
+        };
+        (0..turned.len()).filter(is_moved).collect()
     }
 }
 
@@ -163,8 +194,7 @@ pub fn add_readings(
     (readings, used): (Vec<Reading>, &[Option<usize>]),
     others: &mut Vec<Other>,
 ) {
-    let sds_m: Vec<f64> =
-        (0..best.points.len()).map(|place| best.patch_covariance_m2(place, place).trace().max(0.0).sqrt()).collect();
+    let compared = Best::new(best);
     for reading in readings {
         problem.cancel.check();
         if others.len() >= ALTERNATIVES {
@@ -178,14 +208,11 @@ pub fn add_readings(
         let Ok(mut solution) = maximum_likelihood::solve(&Problem { start, observations, ..problem.clone() }) else {
             continue;
         };
-        turn_onto(best, &sds_m, &mut solution);
+        solution.points = compared.turned(&solution.points);
         // The same number of onsets, or what `label` says of one pulse against two.
         let by_loss = -0.5 * (solution.loss - best.loss) / best.misfit;
         let log_likelihood = reading.log_likelihood.unwrap_or(by_loss).min(0.0);
-        let is_moved = |&place: &usize| {
-            !best.open.contains(&place) && (solution.points[place] - best.points[place]).norm() > SAME * sds_m[place]
-        };
-        let patches: Vec<usize> = (0..best.points.len()).filter(is_moved).collect();
+        let patches = compared.moved(&solution.points);
         let other = Other { patches, kind: OtherKind::Label, log_likelihood, solution };
         if -2.0 * log_likelihood < LIKELY && !other.patches.is_empty() && !others.iter().any(|old| old.is_same(&other))
         {

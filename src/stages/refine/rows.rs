@@ -190,7 +190,7 @@ impl<'a> Tables<'a> {
             sensor: key.sensor.clone(),
             range: key.range.clone(),
             drift_from: knots.as_ref().map(|knots| knots.from.clone()),
-            drift_step_s: knots.as_ref().map(|knots| knots.step_s),
+            drift_knots_s: knots.as_ref().map(|knots| knots.times_s.clone()),
             drift_ps: knots.as_ref().map(|knots| knots.errors.iter().map(value_ps).collect()),
             drift_sd_ps: knots.as_ref().map(|knots| knots.errors.iter().map(sd_ps).collect()),
             ..Delay::default()

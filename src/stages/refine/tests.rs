@@ -45,9 +45,7 @@ impl<'a> Day<'a> {
 
     /// An onset of this path, late by so much.
     fn add(&mut self, path: &[PatchId], sensor: &str, range: Option<&str>, late_ps: f64) {
-        let at = |patch: &PatchId| self.points[*patch as usize - 1];
-        let (end, way_m) =
-            path.iter().fold((self.source, 0.0), |(from, way_m), patch| (at(patch), way_m + (at(patch) - from).norm()));
+        let way_m = self.way_m(path);
         let noise: f64 = StandardNormal.sample(&mut self.rng);
         self.labels.push(Label {
             campaign: "c".into(),
@@ -56,7 +54,7 @@ impl<'a> Day<'a> {
             seen: path[path.len() - 1],
             range: range.map(Name::from),
             rank: 1,
-            time_ps: time_ps(way_m + (self.sensor - end).norm(), 1.0) + late_ps + SD_PS * noise,
+            time_ps: time_ps(way_m, 1.0) + late_ps + SD_PS * noise,
             time_sd_ps: SD_PS,
             width_ps: Some(0.0),
             snr: 100.0,
@@ -65,6 +63,14 @@ impl<'a> Day<'a> {
             probability: 1.0,
             ..Label::default()
         });
+    }
+
+    /// Length of a path.
+    fn way_m(&self, path: &[PatchId]) -> f64 {
+        let at = |patch: &PatchId| self.points[*patch as usize - 1];
+        let (end, way_m) =
+            path.iter().fold((self.source, 0.0), |(from, way_m), patch| (at(patch), way_m + (at(patch) - from).norm()));
+        way_m + (self.sensor - end).norm()
     }
 
     /// First bounces, and second bounces of those pairs that are `open`.

@@ -116,7 +116,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
             arrivals.push(Arrival { length_m: rng.random_range(2.0..longest_m), sd_m: setting.sd_m });
         }
         let span_m = [(visible[a] - visible[b]).norm(), longest_m];
-        profiles.push(Profile::over(ways, arrivals, Vec::new(), span_m));
+        profiles.push(Profile::over(0, ways, arrivals, Vec::new(), span_m));
     }
     let covariances: Vec<Matrix3<f64>> = placed.iter().map(|(_, covariance)| *covariance).collect();
     let bounds_m = slopes.iter().map(|slopes| bound_m(slopes, &covariances, setting.sd_m)).collect();

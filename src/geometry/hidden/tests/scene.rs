@@ -77,6 +77,8 @@ pub struct Setting {
     pub apart_m: f64,
     /// Arrivals nearer than this are one, at their mean.
     pub merged_m: f64,
+    /// So many of the first patches throw too little light to the sensor: where they are seen, no hidden patch shows.
+    pub dark: usize,
 }
 
 impl Setting {
@@ -84,7 +86,19 @@ impl Setting {
     #[must_use]
     pub const fn new(visible: usize, hidden: usize, onset_sd_m: f64, missing: f64, spurious: usize) -> Self {
         let (walls, pattern, clutter) = (Walls::Two, Pattern::All, Clutter::None);
-        Self { visible, hidden, onset_sd_m, missing, spurious, walls, pattern, clutter, apart_m: 0.15, merged_m: 0.0 }
+        Self {
+            visible,
+            hidden,
+            onset_sd_m,
+            missing,
+            spurious,
+            walls,
+            pattern,
+            clutter,
+            apart_m: 0.15,
+            merged_m: 0.0,
+            dark: 0,
+        }
     }
 }
 
@@ -153,7 +167,7 @@ pub fn draw(setting: &Setting, seed: u64) -> Drawn {
             lengths_m.push((length_m + sd_m * error, source));
         };
         for (n, q) in hidden.iter().enumerate() {
-            if !rng.random_bool(setting.missing) {
+            if b >= setting.dark && !rng.random_bool(setting.missing) {
                 add(length_m(q), Some(n), &mut rng);
                 let slope = (q - foci[a]).normalize() + (q - foci[b]).normalize();
                 information[n] += slope * slope.transpose() / (sd_m * sd_m);

@@ -1,5 +1,7 @@
 //! Delays that drift through a day.
 
+use rand_distr::{Distribution, StandardNormal};
+
 use super::*;
 
 /// Captures that follow one another through a day, while the delay goes `drift_ps` along a line and half of it along a
@@ -40,8 +42,10 @@ fn a_delay_that_drifts_is_followed_and_said() {
     assert!(off_m(&without) < 2.0 * stated_m(&without), "{} {}", off_m(&without), stated_m(&without));
     let delay = &with.delays[0];
     let (values_ps, sds_ps) = (delay.drift_ps.as_ref().unwrap(), delay.drift_sd_ps.as_ref().unwrap());
+    let knots_s = delay.drift_knots_s.as_ref().unwrap();
+    assert_eq!((knots_s.len(), knots_s[0]), (values_ps.len(), 0.0));
     for (knot, (value_ps, sd_ps)) in values_ps.iter().zip(sds_ps).enumerate() {
-        let place = knot as f64 / (values_ps.len() - 1) as f64;
+        let place = knots_s[knot] / 86_400.0;
         let truth_ps = 20.0 * (place + 0.5 * (7.0 * place).sin());
         assert!(
             (delay.delay_ps + value_ps - truth_ps).abs() < 4.0 * sd_ps + 0.5,
@@ -57,4 +61,35 @@ fn times_change_nothing_where_nothing_drifts() {
     let context = context(CAMPAIGN, vec![latency(None, 1.0, 1.0)]);
     let [with, without] = [true, false].map(|has_times| refined(&context, drifting_day(&room, 0.0, has_times)));
     assert_eq!((with.patches, with.delays, with.fit), (without.patches, without.delays, without.fit));
+}
+
+/// Walks of 20 ps a day, and onsets of a twentieth of a picosecond. Places that the onsets have without the walk
+/// differ by many of these; with it, they are the one that was found.
+#[test]
+fn what_a_walk_moves_is_no_second_place() {
+    let (sd_ps, step_ps) = (0.05, 20.0 / 8.0);
+    let (mut off_m2, mut stated_m2) = (0.0, 0.0);
+    for seed in 0..6 {
+        let points = &room()[..8];
+        let mut day = Day::new(points, seed).all(|_, _| true);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut day.rng) };
+        let walk: Vec<[f64; 2]> = (0..64).map(|_| [step_ps * normal(), sd_ps * normal()]).collect();
+        let ways_m: Vec<f64> = day.labels.iter().map(|label| day.way_m(label.path.as_deref().unwrap())).collect();
+        let mut delay_ps = 0.0;
+        for (n, (label, [step_ps, error_ps])) in day.labels.iter_mut().zip(walk).enumerate() {
+            delay_ps += step_ps;
+            (label.time_ps, label.time_sd_ps) = (time_ps(ways_m[n], 1.0) + delay_ps + error_ps, sd_ps);
+            let minutes = 20 * n;
+            label.acquired_at = Some(format!("2026-05-12T{:02}:{:02}:00", minutes / 60, minutes % 60).as_str().into());
+        }
+        let rows = refined(&context(CAMPAIGN, vec![latency(None, 1.0, 1.0)]), day.labels);
+        assert!(rows.fit.drift_ps.is_some(), "{seed}: {:?}", rows.fit);
+        let kinds: Vec<&str> = rows.ambiguities.iter().map(|row| &*row.kind).collect();
+        assert_eq!(kinds, ["rotation"], "{seed}: {:?}", rows.ambiguities);
+        off_m2 +=
+            8.0 * procrustes::rotation(&super::points(&rows.patches, 0), points, Point::origin(), true).rms_m.powi(2);
+        stated_m2 += rows.patches.iter().map(|patch| patch.sd_m.unwrap().powi(2)).sum::<f64>();
+    }
+    let ratio = (off_m2 / stated_m2).sqrt();
+    assert!((0.6..1.6).contains(&ratio), "errors are {ratio} times the stated ones");
 }
