@@ -10,10 +10,11 @@
 //! L(q) = sum over profiles of log(1 - p + p sum over arrivals of N(arrival; |q - a| + |q - b|, sd^2) left / lambda)
 //! ```
 //!
-//! is the log-likelihood ratio of one more patch at q. A patch may also be too faint in all light that one visible patch
-//! throws to the sensor, because that patch is small or turned away, or because something stands between. So the sum is
-//! taken over the profiles of each seen patch, and `log(1 - v + v exp(sum))` counts, with the probability v that the
-//! hidden patch shows there. It needs no minimal set of arrivals, no (i,i) profile, and no number of patches. Patches are found one after the other: the place where L is largest in all of space ([`search`]),
+//! is the log-likelihood ratio of one more patch at q. A patch may also be too faint in all light that one visible
+//! patch throws to the sensor, because that patch is small or turned away, or because something stands between. So the
+//! sum is taken over the profiles of each seen patch, and `log(1 - v + v exp(sum))` counts, with the probability v that
+//! the hidden patch shows there. It needs no minimal set of arrivals, no (i,i) profile, and no number of patches.
+//! Patches are found one after the other: the place where L is largest in all of space ([`search`]),
 //! climbed to its top (`climb`), is a patch if the evidence
 //!
 //! ```text
