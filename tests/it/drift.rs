@@ -95,7 +95,7 @@ pub fn median(mut values: Vec<f64>) -> f64 {
 }
 
 /// A walk of 20 ps a day: patches have the errors that are stated, and these are smaller than where files have no
-/// times. Of ellipsoids of 95 %, 76 of 96 hold their patch: a known limit.
+/// times.
 #[test]
 fn a_drift_without_fiducials_is_followed() {
     let scene = scene(SCENE, 144, Drift { walk_ps: 20.0, line_ps: 0.0 });
@@ -119,7 +119,7 @@ fn a_drift_without_fiducials_is_followed() {
     assert!((1.0 / 1.3..1.3).contains(&ratio), "{ratio}");
     let inside: usize = outcomes.iter().map(|one| one.inside).sum();
     let patches: usize = outcomes.iter().map(|one| one.patches).sum();
-    assert!(patches == 96 && inside > 72, "{inside} of {patches}");
+    assert!(patches == 96 && inside > 86, "{inside} of {patches}");
     assert!(with_m < 0.7 * without_m, "{with_m} {without_m}");
 }
 
