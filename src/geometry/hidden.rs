@@ -225,7 +225,7 @@ pub struct Solution {
 /// When a way names a focus that is not there.
 #[must_use]
 pub fn find(profiles: &[Profile], room: &Room) -> Solution {
-    let Some(mut all) = Explanation::new(profiles, room) else { return Solution::default() };
+    let Some(mut all) = Explanation::new(profiles, room, SHOWN) else { return Solution::default() };
     // Minimal sets find most, cheaply; a search of all space finds the others among what is left. It would come to
     // whatever the former make up.
     all.add_seeds(Claims::Likely);
@@ -250,13 +250,14 @@ pub fn find(profiles: &[Profile], room: &Room) -> Solution {
 
 /// Finds those that minimal sets of arrivals lead to. Where profiles are full of later bounces, which are no chance, a
 /// search of all space would follow these without end; and lengths that many profiles repeat, as on several ways, leave
-/// minimal sets nothing to overlook.
+/// minimal sets nothing to overlook. A patch has to show over all seen patches alike: in a few profiles, later bounces
+/// agree on places where nothing is.
 ///
 /// # Panics
 /// When a way names a focus that is not there.
 #[must_use]
 pub fn find_by_minimal_sets(profiles: &[Profile], room: &Room) -> Solution {
-    let Some(mut all) = Explanation::new(profiles, room) else { return Solution::default() };
+    let Some(mut all) = Explanation::new(profiles, room, 1.0) else { return Solution::default() };
     all.add_seeds(Claims::All);
     all.solution()
 }

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
 
 use super::surface::Surface;
-use super::{Focus, Profile, SHOWN, blend};
+use super::{Focus, Profile, blend};
 use crate::Point;
 
 /// Arrivals further off than this many standard deviations were not made by the patch.
@@ -26,6 +26,8 @@ pub struct View<'a> {
     pub clutter_per_m: f64,
     /// Share of ways on which the surface makes an arrival.
     pub seen: f64,
+    /// Probability that it shows in the profiles of a seen patch at all.
+    pub shown: f64,
     pub dimensions: usize,
     pub surface: Surface,
     /// Lengths nearer than this may have one arrival together.
@@ -71,9 +73,9 @@ impl OfSeen {
     };
 
     /// Log-likelihood ratio where it may also not show at all, and the probability that it shows.
-    fn shown(&self) -> (f64, f64) {
+    fn shown(&self, probability: f64) -> (f64, f64) {
         // The larger term first, so that nothing overflows.
-        let (shows, not) = (SHOWN.ln() + self.likelihood, (1.0 - SHOWN).ln());
+        let (shows, not) = (probability.ln() + self.likelihood, (1.0 - probability).ln());
         let sum = shows.max(not) + (-(shows - not).abs()).exp().ln_1p();
         (sum, (shows - sum).exp())
     }
@@ -157,7 +159,7 @@ impl View<'_> {
         }
         let mut right = Vector3::zeros();
         for of_seen in of_seen.iter().filter(|of_seen| of_seen.clear > 0.0) {
-            let (likelihood, shown) = of_seen.shown();
+            let (likelihood, shown) = of_seen.shown(self.shown);
             place.likelihood += likelihood;
             place.information += of_seen.information * shown;
             right += of_seen.right * shown;

@@ -33,6 +33,8 @@ pub(super) struct Explanation<'a> {
     /// The same; arrivals that may be blends err by more.
     pub(super) profiles: Vec<Profile>,
     pub(super) room: &'a Room,
+    /// Probability that a patch shows in the profiles of a seen patch at all.
+    pub(super) shown: f64,
     pub(super) domain: Domain,
     /// Log of the volume (in flatland area) of the places of patches, and of planes.
     log_volumes: [f64; 2],
@@ -49,7 +51,7 @@ pub(super) struct Explanation<'a> {
 
 impl<'a> Explanation<'a> {
     /// Without any patch; `None` without arrivals.
-    pub(super) fn new(profiles: &'a [Profile], room: &'a Room) -> Option<Self> {
+    pub(super) fn new(profiles: &'a [Profile], room: &'a Room, shown: f64) -> Option<Self> {
         let mut sds: Vec<f64> =
             profiles.iter().flat_map(|profile| &profile.arrivals).map(|arrival| arrival.sd_m).collect();
         sds.sort_by(f64::total_cmp);
@@ -66,6 +68,7 @@ impl<'a> Explanation<'a> {
             given: profiles,
             profiles: profiles.to_vec(),
             room,
+            shown,
             log_volumes: [0.0; 2],
             domain,
             sd_m,
@@ -240,6 +243,7 @@ impl<'a> Explanation<'a> {
             left,
             clutter_per_m: self.clutter_per_m,
             seen,
+            shown: self.shown,
             dimensions: self.room.dimensions,
             surface,
             blend_m: self.room.blend_m,

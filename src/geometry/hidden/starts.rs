@@ -119,7 +119,8 @@ impl Explanation<'_> {
         }
         let shares: Vec<f64> = of_seen.iter().map(|[unexplained, profiles]| unexplained / profiles).collect();
         let most = shares.iter().copied().fold(0.0, f64::max);
-        shares.into_iter().map(|share| share >= SHOWS * most).collect()
+        // Where a patch shows over all alike, those without it count too.
+        shares.into_iter().map(|share| self.shown >= 1.0 || share >= SHOWS * most).collect()
     }
 
     /// Lengths over the same two foci that most profiles repeat.

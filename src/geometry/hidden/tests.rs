@@ -138,7 +138,7 @@ fn paths_that_are_seldom_seen_hide_no_minimal_set() {
             Profile::new(profile.ways[0].foci, profile.arrivals.clone(), explained, profile.span_m)
         };
         let profiles: Vec<Profile> = drawn.profiles.iter().map(faint).collect();
-        let mut all = Explanation::new(&profiles, &drawn.room).expect("arrivals");
+        let mut all = Explanation::new(&profiles, &drawn.room, SHOWN).expect("arrivals");
         all.add_seeds(Claims::Likely);
         let result = score(&drawn, &points(&all.solution()));
         assert!(result.extra == 0, "seed {seed}: {result:?}");
@@ -172,7 +172,7 @@ fn a_turned_scene_gives_the_turned_answer() {
 #[test]
 fn branch_and_bound_finds_the_largest_sum() {
     let drawn = draw(&Setting::new(5, 3, sd_m(100.0), 0.2, 2), 2);
-    let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let scene = Explanation::new(&drawn.profiles, &drawn.room, SHOWN).expect("there are arrivals");
     let legs = scene.legs(scene.left());
     let sum = |point: Point| -> f32 {
         let of_legs = |legs: &Legs| {
@@ -216,7 +216,7 @@ fn curves_add_up_to_the_likelihood() {
             Profile::over(0, profile.ways.clone(), profile.arrivals.clone(), paths, profile.span_m)
         };
         let profiles: Vec<Profile> = drawn.profiles.iter().map(known).collect();
-        let all = Explanation::new(&profiles, &drawn.room).expect("arrivals");
+        let all = Explanation::new(&profiles, &drawn.room, SHOWN).expect("arrivals");
         let legs = all.legs(all.left());
         for _ in 0..200 {
             let aside = Vector3::from_fn(|_, _| rng.random_range(-0.03..0.03));
@@ -266,7 +266,7 @@ fn a_flat_wall_leaves_two_places() {
 #[test]
 fn the_likelihood_is_that_of_the_formula() {
     let drawn = draw(&Setting::new(4, 2, sd_m(50.0), 0.2, 2), 3);
-    let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let scene = Explanation::new(&drawn.profiles, &drawn.room, SHOWN).expect("there are arrivals");
     let left = scene.left();
     let view = scene.view(Surface::Patch, left, 0.7);
     let mut rng = ChaCha8Rng::seed_from_u64(1);
@@ -294,7 +294,7 @@ fn the_likelihood_is_that_of_the_formula() {
 #[test]
 fn a_climb_ends_where_nothing_is_higher() {
     let drawn = draw(&Setting::new(8, 2, sd_m(25.0), 0.1, 1), 5);
-    let scene = Explanation::new(&drawn.profiles, &drawn.room).expect("there are arrivals");
+    let scene = Explanation::new(&drawn.profiles, &drawn.room, SHOWN).expect("there are arrivals");
     let left = scene.left();
     let view = scene.view(Surface::Patch, left, SEEN);
     let top = view.climb(drawn.hidden[0] + Vector3::new(0.01, -0.01, 0.01));
@@ -357,7 +357,7 @@ fn an_arrival_is_taken_once() {
     let likelihood = |ways: usize| {
         let profiles =
             [Profile::over(0, vec![Way::new([0, 1], 0.0, 0.0); ways], vec![arrival], Vec::new(), [0.0, 3.0])];
-        let scene = Explanation::new(&profiles, &room).expect("there is an arrival");
+        let scene = Explanation::new(&profiles, &room, SHOWN).expect("there is an arrival");
         let left = scene.left();
         let likelihood = scene.view(Surface::Patch, left, 0.7).place(at).likelihood;
         (likelihood.exp() - (1.0 - SHOWN)) / SHOWN
