@@ -117,8 +117,8 @@ impl Way {
 /// Arrivals of a lit and a seen patch, and the ways on which a hidden patch may make them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Profile {
-    /// Position of the seen patch among those that are seen.
-    seen: usize,
+    /// Position of the patch that the sensor watches among those that it does.
+    watched: usize,
     ways: Vec<Way>,
     arrivals: Vec<Arrival>,
     paths: Vec<Path>,
@@ -134,13 +134,19 @@ impl Profile {
         Self::over(foci[1], vec![Way::new(foci, 0.0, 0.0)], arrivals, paths, span_m)
     }
 
-    /// Of a patch at a position among those that are seen, with several ways; each may make its own arrival.
+    /// Of a patch at a position among those that the sensor watches, with several ways; each may make its own arrival.
     #[must_use]
-    pub fn over(seen: usize, ways: Vec<Way>, mut arrivals: Vec<Arrival>, paths: Vec<Path>, span_m: [f64; 2]) -> Self {
+    pub fn over(
+        watched: usize,
+        ways: Vec<Way>,
+        mut arrivals: Vec<Arrival>,
+        paths: Vec<Path>,
+        span_m: [f64; 2],
+    ) -> Self {
         arrivals.retain(|arrival| (span_m[0]..=span_m[1]).contains(&arrival.length_m));
         arrivals.sort_by(|a, b| a.length_m.total_cmp(&b.length_m));
         let widest_m = arrivals.iter().map(|arrival| arrival.sd_m).fold(0.0, f64::max);
-        Self { seen, ways, arrivals, paths, span_m, widest_m }
+        Self { watched, ways, arrivals, paths, span_m, widest_m }
     }
 
     /// Gives its arrivals other standard deviations, in their order.
@@ -152,6 +158,11 @@ impl Profile {
     fn holds(&self, length_m: f64) -> bool {
         (self.span_m[0]..=self.span_m[1]).contains(&length_m)
     }
+}
+
+/// Number of patches that the sensor watches.
+fn watched_count(profiles: &[Profile]) -> usize {
+    profiles.iter().map(|profile| profile.watched + 1).max().unwrap_or(0)
 }
 
 /// A patch in place over which hidden ones are seen: a visible one, or a hidden one that shows others.

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
 
 use super::surface::Surface;
-use super::{Focus, Profile, blend};
+use super::{Focus, Profile, blend, watched_count};
 use crate::Point;
 
 /// Arrivals further off than this many standard deviations were not made by the patch.
@@ -104,15 +104,14 @@ impl View<'_> {
             ways: 0,
             clear: 0.0,
         };
-        let seen = self.profiles.iter().map(|profile| profile.seen + 1).max().unwrap_or(0);
-        let mut of_seen = vec![OfSeen::NOTHING; seen];
+        let mut of_seen = vec![OfSeen::NOTHING; watched_count(self.profiles)];
         let root = (2.0 * std::f64::consts::PI).sqrt() * self.clutter_per_m;
         let mut near: Vec<(usize, f64, f64, f64)> = Vec::new();
         // Arrivals with the share of each that the profile's ways so far do not take.
         let mut taken: Vec<(usize, f64)> = Vec::new();
         for (profile, left) in self.profiles.iter().zip(self.left) {
             taken.clear();
-            let of_seen = &mut of_seen[profile.seen];
+            let of_seen = &mut of_seen[profile.watched];
             for way in &profile.ways {
                 let legs = match surface {
                     Surface::Patch => {

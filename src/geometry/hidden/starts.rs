@@ -10,7 +10,7 @@ use super::plane_seeds;
 use super::search::{self, Curve, Legs};
 use super::seeds::{self, Lengths, Seed};
 use super::surface::Surface;
-use super::{Profile, SEEN, Way, blend};
+use super::{Profile, SEEN, Way, blend, watched_count};
 use crate::Point;
 
 /// Values of curves per standard deviation.
@@ -72,7 +72,7 @@ impl Explanation<'_> {
         let mut pairs: BTreeMap<[usize; 2], OfPair> = BTreeMap::new();
         let left = self.left_of(claims);
         let shows = self.shows(&left);
-        for (profile, left) in self.profiles.iter().zip(left).filter(|(profile, _)| shows[profile.seen]) {
+        for (profile, left) in self.profiles.iter().zip(left).filter(|(profile, _)| shows[profile.watched]) {
             let (profiles, span_m, lengths_m, claimed_m) =
                 pairs.entry(profile.ways[0].foci).or_insert_with(|| (0, profile.span_m, Vec::new(), Vec::new()));
             *profiles += 1;
@@ -110,10 +110,9 @@ impl Explanation<'_> {
     /// is, and many of them would only say that there is none. What shows over them alone is sought when the others are
     /// explained.
     fn shows(&self, left: &[Vec<f64>]) -> Vec<bool> {
-        let count = self.profiles.iter().map(|profile| profile.seen + 1).max().unwrap_or(0);
-        let mut of_seen = vec![[0.0, f64::MIN_POSITIVE]; count];
+        let mut of_seen = vec![[0.0, f64::MIN_POSITIVE]; watched_count(&self.profiles)];
         for (profile, left) in self.profiles.iter().zip(left) {
-            let [unexplained, profiles] = &mut of_seen[profile.seen];
+            let [unexplained, profiles] = &mut of_seen[profile.watched];
             *unexplained += left.iter().filter(|left| **left > UNEXPLAINED).count() as f64;
             *profiles += 1.0;
         }
@@ -191,7 +190,7 @@ impl Explanation<'_> {
             profiles: ways.len(),
             curve: self.curve(&ways, left, missed),
         };
-        self.of_foci(|profile| shows[profile.seen]).into_par_iter().map(legs).collect()
+        self.of_foci(|profile| shows[profile.watched]).into_par_iter().map(legs).collect()
     }
 
     /// Ways of some profiles over the same two foci, each with its profile.

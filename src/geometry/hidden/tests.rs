@@ -283,7 +283,7 @@ fn the_likelihood_is_that_of_the_formula() {
             (0.3 + 0.7 * sum / scene.clutter_per_m).ln()
         };
         let of_seen = |seen: usize| -> f64 {
-            let sum: f64 = drawn.profiles.iter().filter(|profile| profile.seen == seen).map(of_profile).sum();
+            let sum: f64 = drawn.profiles.iter().filter(|profile| profile.watched == seen).map(of_profile).sum();
             (1.0 - SHOWN + SHOWN * sum.exp()).ln()
         };
         let expected: f64 = (0..4).map(of_seen).sum();
