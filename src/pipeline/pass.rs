@@ -24,7 +24,7 @@ use super::settings::{RunError, Settings};
 use super::timeline::Timeline;
 use crate::cancel::{Cancel, Cancelled};
 use crate::stages::Node;
-use crate::stages::operator::OutputBatches;
+use crate::stages::operator::{Outcomes, OutputBatches};
 use crate::stages::source::Credit;
 use crate::stages::stage::{BesideTables, Rejection, StageError};
 use crate::store::{Digest, PartRecord, StoreError};
@@ -37,6 +37,8 @@ const SMALL: usize = 1 << 20;
 enum Message {
     /// Rows of the open part, and the hold on memory that they come with.
     Rows(RecordBatch, Option<Credit>),
+    /// What each step below made of the next rows where these were read.
+    Reduced(Vec<Vec<Outcomes>>),
     /// Rows of the open part for the shelf alone.
     Stored(RecordBatch),
     /// The open part ends; its number, its lineage, and what its source rejected.
@@ -207,18 +209,25 @@ pub fn run(
             receivers.insert(step, receiver);
         }
         let shared = &shared;
+        let mut reducers = Vec::new();
         for &step in &pass.steps {
             let receiver = receivers.remove(&step).expect("each step has one channel");
             let children = senders.remove(&step).unwrap_or_default();
             let beside = beside.remove(&step).expect("collected above");
             let joined = pass.joined.as_ref().filter(|joined| joined.step == step);
-            let body = move || shared.guard(step, || step::work(shared, step, &receiver, &children, beside, joined));
+            let announce = (plan.from(step) == Some(pass.root)).then(|| {
+                let (announce, reducer) = bounded(1);
+                reducers.push(reducer);
+                announce
+            });
+            let ends = step::Ends { step, input: receiver, children, announce };
+            let body = move || shared.guard(step, || step::work(shared, &ends, beside, joined));
             if let Err(source) = thread::Builder::new().spawn_scoped(scope, body) {
                 shared.fail(Failure::Cause(RunError::Thread { heading: shared.heading(step), source }));
             }
         }
         let children = senders.remove(&usize::MAX).unwrap_or_default();
-        shared.guard(pass.root, || root::read(shared, pass, &children));
+        shared.guard(pass.root, || root::read(shared, pass, &children, reducers));
         drop(children);
     });
     content.extend(shared.content.into_inner().unwrap_or_else(PoisonError::into_inner));

@@ -24,6 +24,7 @@ mod runs;
 mod survey;
 mod template;
 mod ticket;
+mod units;
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -2,8 +2,10 @@
 
 mod pieces;
 
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::Int32Type;
@@ -28,6 +30,15 @@ pub struct OutputBatches {
     pub tables: Vec<Vec<RecordBatch>>,
     /// What was rejected.
     pub rejections: Vec<Rejection>,
+}
+
+impl OutputBatches {
+    /// Adds what came out next.
+    pub fn append(&mut self, next: Self) {
+        self.tables.resize(self.tables.len().max(next.tables.len()), Vec::new());
+        self.tables.iter_mut().zip(next.tables).for_each(|(table, batches)| table.extend(batches));
+        self.rejections.extend(next.rejections);
+    }
 }
 
 /// A table that a stage writes.
@@ -71,7 +82,7 @@ pub trait Operator: Send + Sync {
     ///
     /// # Errors
     /// When parameters, fields and finished tables do not go together.
-    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError>;
+    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Started<'a>, StageError>;
     /// Schema of what pieces of its groups add up to; `None` where a group must be seen in one go.
     fn subtotals(&self) -> Option<SchemaRef>;
     /// Gets ready for a piece of a group, whose subtotals come out as its main table; or, to join pieces, for heads and
@@ -88,6 +99,34 @@ pub trait Operator: Send + Sync {
         beside: &BesideTables,
         task: Task,
     ) -> Result<Box<dyn Joining + 'a>, StageError>;
+}
+
+/// A stage that is ready for rows.
+pub struct Started<'a> {
+    /// What takes them in their order.
+    pub running: Box<dyn Running + 'a>,
+    /// What takes groups by themselves, where these stream.
+    pub reducer: Option<Arc<dyn Reducer + 'a>>,
+}
+
+/// What a [`Reducer`] made of groups, in the stage's own type.
+pub type Outcomes = Box<dyn Any + Send>;
+
+/// A stage at work on groups that are there as a whole: side by side, wherever their rows are.
+pub trait Reducer: Send + Sync {
+    /// Takes all rows of some groups.
+    ///
+    /// # Errors
+    /// When the table as a whole cannot be made.
+    fn reduce(&self, batch: &RecordBatch) -> Result<Outcomes, StageError>;
+    /// The rows of what it made, in this order.
+    ///
+    /// # Errors
+    /// When the table as a whole cannot be made.
+    ///
+    /// # Panics
+    /// When another stage made it.
+    fn rows(&self, outcomes: Vec<Outcomes>) -> Result<OutputBatches, StageError>;
 }
 
 /// A stage at work.
@@ -138,9 +177,11 @@ impl<S: Fold> Operator for S {
         let sides = S::SIDES.iter().map(|side| WrittenTable { name: side.name.to_owned(), schema: (side.schema)() });
         std::iter::once(main).chain(sides).collect()
     }
-    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Box<dyn Running + 'a>, StageError> {
+    fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Started<'a>, StageError> {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
-        Ok(Box::new(Groups::new(self, context, &beside.cancel, None)))
+        let ready = Arc::new(Ready { stage: self, context, cancel: beside.cancel.clone() });
+        let reducer = S::GRAIN.streams().then(|| Arc::clone(&ready) as Arc<dyn Reducer + 'a>);
+        Ok(Started { running: Box::new(Groups { ready, open: BTreeMap::new(), saves: None }), reducer })
     }
     fn subtotals(&self) -> Option<SchemaRef> {
         self.in_pieces().map(InPieces::schema)
@@ -154,35 +195,63 @@ impl<S: Fold> Operator for S {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
         let pieces = self.in_pieces().expect("a stage whose groups can be computed in pieces");
         let saves = (task == Task::Save).then_some(pieces);
-        Ok(Box::new(Pieces { groups: Groups::new(self, context, &beside.cancel, saves), pieces }))
+        let ready = Arc::new(Ready { stage: self, context, cancel: beside.cancel.clone() });
+        Ok(Box::new(Pieces { groups: Groups { ready, open: BTreeMap::new(), saves }, pieces }))
     }
 }
 
 /// What identifies a group. Order of keys is order of output for grains that gather.
 type GroupKey = (String, String, i32, i32, String, String);
 
-/// A stage's groups: those that rows may still come for, by key.
-struct Groups<'a, S: Fold> {
+/// A stage with what all its groups share.
+struct Ready<'a, S: Fold> {
     stage: &'a S,
     context: S::Context,
     /// Polled before each group.
     cancel: Cancel,
+}
+
+impl<S: Fold> Ready<'_, S> {
+    fn finish(&self, state: S::State) -> Result<Outcome<S::Output>, StageError> {
+        self.cancel.check();
+        self.stage.finish(&self.context, state)
+    }
+}
+
+impl<S: Fold> Reducer for Ready<'_, S> {
+    fn reduce(&self, batch: &RecordBatch) -> Result<Outcomes, StageError> {
+        let columns = S::Input::columns(batch)?;
+        let reduce = |(_, rows): (GroupKey, Range<usize>)| {
+            self.cancel.check();
+            let mut state = self.stage.begin(&self.context, S::Input::read(&columns, rows.start));
+            self.stage.step(&self.context, &mut state, &columns, rows)?;
+            self.stage.finish(&self.context, state)
+        };
+        let outcomes: Vec<_> = groups(batch, S::GRAIN).into_par_iter().map(reduce).collect::<Result<_, _>>()?;
+        Ok(Box::new(outcomes))
+    }
+
+    fn rows(&self, outcomes: Vec<Outcomes>) -> Result<OutputBatches, StageError> {
+        let own = |outcomes: Outcomes| *outcomes.downcast::<Vec<Outcome<S::Output>>>().expect("made by this stage");
+        batches::<S>(outcomes.into_iter().flat_map(own).collect())
+    }
+}
+
+/// A stage's groups: those that rows may still come for, by key.
+struct Groups<'a, S: Fold> {
+    ready: Arc<Ready<'a, S>>,
     open: BTreeMap<GroupKey, S::State>,
     /// Where groups are pieces, which are saved and not finished.
     saves: Option<&'a dyn InPieces<S>>,
 }
 
-impl<'a, S: Fold> Groups<'a, S> {
-    fn new(stage: &'a S, context: S::Context, cancel: &Cancel, saves: Option<&'a dyn InPieces<S>>) -> Self {
-        Self { stage, context, cancel: cancel.clone(), open: BTreeMap::new(), saves }
-    }
-
+impl<S: Fold> Groups<'_, S> {
     /// What starts a group at its first row.
     fn begin(&self) -> impl Fn(S::Input) -> S::State + Sync {
-        let (stage, context, saves) = (self.stage, &self.context, self.saves);
+        let (ready, saves) = (&*self.ready, self.saves);
         move |first| match saves {
-            Some(pieces) => pieces.begin(context, first),
-            None => stage.begin(context, first),
+            Some(pieces) => pieces.begin(&ready.context, first),
+            None => ready.stage.begin(&ready.context, first),
         }
     }
 
@@ -192,14 +261,14 @@ impl<'a, S: Fold> Groups<'a, S> {
         work: Vec<(GroupKey, Option<Range<usize>>, Option<S::State>)>,
         columns: &<S::Input as Row>::Columns,
     ) -> Result<Vec<(GroupKey, S::State)>, StageError> {
-        let (stage, context, cancel, begin) = (self.stage, &self.context, &self.cancel, self.begin());
+        let (ready, begin) = (&*self.ready, self.begin());
         let step = |(key, rows, state): (GroupKey, Option<Range<usize>>, Option<S::State>)| {
-            cancel.check();
+            ready.cancel.check();
             let Some(rows) = rows else {
                 return Ok((key, state.expect("a group without rows was open")));
             };
             let mut state = state.unwrap_or_else(|| begin(S::Input::read(columns, rows.start)));
-            stage.step(context, &mut state, columns, rows)?;
+            ready.stage.step(&ready.context, &mut state, columns, rows)?;
             Ok((key, state))
         };
         work.into_par_iter().map(step).collect()
@@ -207,41 +276,13 @@ impl<'a, S: Fold> Groups<'a, S> {
 
     /// Ends groups.
     fn end(&self, states: Vec<S::State>) -> Result<OutputBatches, StageError> {
-        let (stage, context, cancel) = (self.stage, &self.context, &self.cancel);
         let Some(pieces) = self.saves else {
-            let finish = |state| {
-                cancel.check();
-                stage.finish(context, state)
-            };
-            return Self::batches(states.into_par_iter().map(finish).collect::<Result<_, _>>()?);
+            let ready = &*self.ready;
+            let outcomes = states.into_par_iter().map(|state| ready.finish(state)).collect::<Result<_, _>>()?;
+            return batches::<S>(outcomes);
         };
         let saved = states.into_iter().map(|state| pieces.save(state).map_err(StageError::Indivisible));
         Ok(OutputBatches { tables: vec![saved.collect::<Result<_, _>>()?], rejections: Vec::new() })
-    }
-
-    fn batches(outcomes: Vec<Outcome<S::Output>>) -> Result<OutputBatches, StageError> {
-        let mut rows = Vec::new();
-        let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
-        let mut rejections = Vec::new();
-        for outcome in outcomes {
-            // One outcome of millions of rows is not copied.
-            if rows.is_empty() {
-                rows = outcome.rows;
-            } else {
-                rows.extend(outcome.rows);
-            }
-            sides.iter_mut().zip(outcome.sides).for_each(|(all, side)| all.push(side));
-            rejections.extend(outcome.rejections);
-        }
-        let mut tables = vec![if rows.is_empty() { Vec::new() } else { vec![S::Output::to_batch(&rows)] }];
-        for (side, batches) in S::SIDES.iter().zip(sides) {
-            tables.push(if batches.is_empty() {
-                Vec::new()
-            } else {
-                vec![concat_batches(&(side.schema)(), &batches)?]
-            });
-        }
-        Ok(OutputBatches { tables, rejections })
     }
 }
 
@@ -253,7 +294,7 @@ impl<S: Fold> Running for Groups<'_, S> {
             for (key, rows) in groups {
                 let state = self.open.remove(&key);
                 let mut state = state.unwrap_or_else(|| self.begin()(S::Input::read(&columns, rows.start)));
-                self.stage.step(&self.context, &mut state, &columns, rows)?;
+                self.ready.stage.step(&self.ready.context, &mut state, &columns, rows)?;
                 self.open.insert(key, state);
             }
             return Ok(OutputBatches::default());
@@ -283,6 +324,32 @@ impl<S: Fold> Running for Groups<'_, S> {
         let states: Vec<_> = std::mem::take(&mut self.open).into_values().collect();
         self.end(states)
     }
+}
+
+/// The rows of what became of groups.
+fn batches<S: Fold>(outcomes: Vec<Outcome<S::Output>>) -> Result<OutputBatches, StageError> {
+    let mut rows = Vec::new();
+    let mut sides: Vec<Vec<RecordBatch>> = vec![Vec::new(); S::SIDES.len()];
+    let mut rejections = Vec::new();
+    for outcome in outcomes {
+        // One outcome of millions of rows is not copied.
+        if rows.is_empty() {
+            rows = outcome.rows;
+        } else {
+            rows.extend(outcome.rows);
+        }
+        sides.iter_mut().zip(outcome.sides).for_each(|(all, side)| all.push(side));
+        rejections.extend(outcome.rejections);
+    }
+    let mut tables = vec![if rows.is_empty() { Vec::new() } else { vec![S::Output::to_batch(&rows)] }];
+    for (side, batches) in S::SIDES.iter().zip(sides) {
+        tables.push(if batches.is_empty() {
+            Vec::new()
+        } else {
+            vec![concat_batches(&(side.schema)(), &batches)?]
+        });
+    }
+    Ok(OutputBatches { tables, rejections })
 }
 
 /// Columns that the groups of rows differ in. A column that a table lacks is the same for all of its rows.

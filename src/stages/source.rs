@@ -9,7 +9,7 @@ use arrow_array::RecordBatch;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::operator::WrittenTable;
+use super::operator::{Outcomes, WrittenTable};
 use super::stage::{Rejection, StageError};
 use crate::campaign::{Campaign, LeftOut, Role};
 use crate::store::Digest;
@@ -40,6 +40,11 @@ pub trait Feed {
     /// # Errors
     /// When the run is being stopped.
     fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError>;
+    /// What takes whole captures where they are read, while their samples are in the cache; `None` where rows are to be
+    /// sent.
+    fn in_place(&self) -> Option<&dyn InPlace> {
+        None
+    }
     /// Says how many raw bytes were read, for progress.
     fn read_bytes(&self, bytes: u64);
     /// Whether rows for the shelf are wanted too, of a source whose table does not stand in for it.
@@ -53,6 +58,23 @@ pub trait Feed {
     fn store(&self, _batch: RecordBatch) -> Result<(), StageError> {
         Ok(())
     }
+}
+
+/// What each of the stages below a source made of some captures.
+pub struct Reduced(pub Vec<Outcomes>);
+
+/// The stages below a source, at work on whole captures in the source's own threads.
+pub trait InPlace: Sync {
+    /// Takes all rows of some captures. Calls may run side by side.
+    ///
+    /// # Errors
+    /// When a table as a whole cannot be made.
+    fn reduce(&self, batch: &RecordBatch) -> Result<Reduced, StageError>;
+    /// Hands on what was made of the captures that come next, in their order.
+    ///
+    /// # Errors
+    /// When the run is being stopped.
+    fn send(&self, reduced: Vec<Reduced>) -> Result<(), StageError>;
 }
 
 /// A part as a source knows it before reading.

@@ -1,23 +1,34 @@
 //! The thread at the root of a pass: reads a source, or replays a stored table.
 
-use std::sync::PoisonError;
+use std::sync::{Arc, PoisonError};
 
 use arrow_array::RecordBatch;
-use crossbeam_channel::Sender;
+use crossbeam_channel::{Receiver, Sender};
 
 use super::{Failure, Message, Pass, Shared, send};
-use crate::stages::source::{Credit, Feed, PartRead};
+use crate::stages::operator::{Outcomes, Reducer};
+use crate::stages::source::{Credit, Feed, InPlace, PartRead, Reduced};
 use crate::stages::stage::StageError;
 
 /// The thread of the root: reads a source, or replays a table.
-pub(super) fn read(shared: &Shared<'_>, pass: &Pass, children: &[Sender<Message>]) -> Result<(), Failure> {
+pub(super) fn read<'a>(
+    shared: &Shared<'a>,
+    pass: &Pass,
+    children: &[Sender<Message>],
+    reducers: Vec<Receiver<Option<Arc<dyn Reducer + 'a>>>>,
+) -> Result<(), Failure> {
     let plan = shared.plan;
+    let reducers: Option<Vec<_>> =
+        reducers.into_iter().map(|reducer| reducer.recv().map_err(|_| Failure::Stopped)).collect::<Result<_, _>>()?;
+    // Rows that are to be stored or joined have to come by.
+    let reducers = reducers.filter(|_| !plan.stands_in(pass.root) && pass.joined.is_none());
+    let in_place = reducers.map(|reducers| InThreads { shared, children, reducers });
     for &part in &pass.parts {
         shared.go_on()?;
         if pass.steps.contains(&pass.root) {
             let source = &plan.sources[&pass.root];
             let stores = plan.spec.steps[pass.root].keep && !plan.stands_in(pass.root) && plan.lacks(pass.root, part);
-            let feed = Channel { shared, children, stores };
+            let feed = Channel { shared, children, stores, in_place: in_place.as_ref() };
             let part_read = match pass.joined.as_ref().zip(source.divisible()) {
                 // A part with an exceptional shot cannot be joined from pieces; it is computed whole.
                 Some((joined, pieces)) => {
@@ -61,6 +72,31 @@ struct Channel<'a> {
     children: &'a [Sender<Message>],
     /// Whether the part of its table is to be made, and does not have the rows that are sent on.
     stores: bool,
+    in_place: Option<&'a InThreads<'a>>,
+}
+
+/// The steps right below a source, at work in its threads.
+struct InThreads<'a> {
+    shared: &'a Shared<'a>,
+    /// As in [`Channel`].
+    children: &'a [Sender<Message>],
+    /// Of each step.
+    reducers: Vec<Arc<dyn Reducer + 'a>>,
+}
+
+impl InPlace for InThreads<'_> {
+    fn reduce(&self, batch: &RecordBatch) -> Result<Reduced, StageError> {
+        Ok(Reduced(self.reducers.iter().map(|reducer| reducer.reduce(batch)).collect::<Result<_, _>>()?))
+    }
+
+    fn send(&self, reduced: Vec<Reduced>) -> Result<(), StageError> {
+        let mut outcomes: Vec<Vec<Outcomes>> = self.reducers.iter().map(|_| Vec::new()).collect();
+        for Reduced(made) in reduced {
+            outcomes.iter_mut().zip(made).for_each(|(of_step, made)| of_step.push(made));
+        }
+        let send = || self.children[0].send(Message::Reduced(outcomes));
+        self.shared.span_of_reader("hand on", send).map_err(|_| StageError::Stopped)
+    }
 }
 
 impl Feed for Channel<'_> {
@@ -76,6 +112,10 @@ impl Feed for Channel<'_> {
     fn send(&self, batch: RecordBatch, credit: Credit) -> Result<(), StageError> {
         let rows = || Message::Rows(batch.clone(), Some(credit.clone()));
         self.shared.span_of_reader("hand on", || send(self.children, rows)).map_err(|_| StageError::Stopped)
+    }
+
+    fn in_place(&self) -> Option<&dyn InPlace> {
+        self.in_place.map(|in_place| in_place as &dyn InPlace)
     }
 
     fn read_bytes(&self, bytes: u64) {

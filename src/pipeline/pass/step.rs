@@ -1,13 +1,13 @@
 //! The thread of one step of a pass: takes rows, writes its tables, hands its main table on.
 
-use std::sync::PoisonError;
+use std::sync::{Arc, PoisonError};
 
 use arrow_array::RecordBatch;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::{Ended, Failure, Joined, Message, Shared, send};
 use crate::stages::Node;
-use crate::stages::operator::{OutputBatches, Running};
+use crate::stages::operator::{Outcomes, OutputBatches, Reducer, Running, Started};
 use crate::stages::source::Credit;
 use crate::stages::stage::{BesideTables, StageError};
 use crate::store::shelf::PartWriter;
@@ -38,23 +38,34 @@ impl Running for Given {
     }
 }
 
+/// A step with its channels.
+pub(super) struct Ends<'a> {
+    pub step: usize,
+    pub input: Receiver<Message>,
+    pub children: Vec<Sender<Message>>,
+    /// Where the step says how its rows are made where they are read, if the root of the pass may do so.
+    pub announce: Option<Sender<Option<Arc<dyn Reducer + 'a>>>>,
+}
+
 /// The thread of one step: takes rows, writes its tables, hands its main table on.
-pub(super) fn work(
-    shared: &Shared<'_>,
-    step: usize,
-    input: &Receiver<Message>,
-    children: &[Sender<Message>],
+pub(super) fn work<'a>(
+    shared: &Shared<'a>,
+    ends: &Ends<'a>,
     tables: BesideTables,
     joined: Option<&Joined>,
 ) -> Result<(), Failure> {
-    let plan = shared.plan;
+    let Ends { step, input, children, announce } = ends;
+    let (plan, step) = (shared.plan, *step);
     let streams = plan.streams(step);
     let failed = |error| shared.failed(step, error);
-    let mut running: Box<dyn Running + '_> = match (joined, &plan.spec.steps[step].node) {
-        (Some(joined), _) => Box::new(Given(joined.output.clone())),
-        (_, Node::Source(_)) => Box::new(Through),
+    let Started { mut running, reducer } = match (joined, &plan.spec.steps[step].node) {
+        (Some(joined), _) => Started { running: Box::new(Given(joined.output.clone())), reducer: None },
+        (_, Node::Source(_)) => Started { running: Box::new(Through), reducer: None },
         (_, Node::Operator(operator)) => operator.start(plan.campaigns, &tables).map_err(failed)?,
     };
+    if let Some(announce) = announce {
+        announce.send(reducer.clone()).map_err(|_| Failure::Stopped)?;
+    }
     // The stage has taken what it needs; whole tables would stay in memory until it ends.
     drop(tables);
     let beside = plan.beside(step).expect("tables beside a step are finished before its pass");
@@ -69,6 +80,20 @@ pub(super) fn work(
                 shared.span(step, "write and hand on", || {
                     emit(shared, step, &mut writer, output, children, credit.as_ref())
                 })?;
+            }
+            Message::Reduced(outcomes) => {
+                let Some(reducer) = &reducer else {
+                    hand_on(children, outcomes)?;
+                    continue;
+                };
+                let made = || -> Result<OutputBatches, StageError> {
+                    // The group that was open has ended before these.
+                    let mut output = running.flush()?;
+                    output.append(reducer.rows(outcomes.into_iter().flatten().collect())?);
+                    Ok(output)
+                };
+                let output = shared.span(step, "compute", made).map_err(failed)?;
+                shared.span(step, "write and hand on", || emit(shared, step, &mut writer, output, children, None))?;
             }
             Message::Stored(batch) => open(shared, step, &mut writer)?.write(0, &batch)?,
             Message::PartEnd(part, lineage, rejections) if streams => {
@@ -92,6 +117,12 @@ pub(super) fn work(
         shared.span(step, "end of a part", || end_part(shared, step, &mut writer, 0, lineage, children))?;
     }
     send(children, || Message::End)
+}
+
+/// Hands to each child what was made for it.
+fn hand_on(children: &[Sender<Message>], outcomes: Vec<Vec<Outcomes>>) -> Result<(), Failure> {
+    let mut children = children.iter().zip(outcomes);
+    children.try_for_each(|(child, own)| child.send(Message::Reduced(vec![own])).map_err(|_| Failure::Stopped))
 }
 
 /// Writes what a stage made, and hands its main table on.

@@ -93,17 +93,6 @@ impl<'a> Adding<'a> {
         Ok(Self { running, output, is_fed: Cell::new(false), settings, progress })
     }
 
-    fn take(&self, output: OutputBatches) {
-        let mut all = self.output.borrow_mut();
-        all.rejections.extend(output.rejections);
-        for (table, batches) in output.tables.into_iter().enumerate() {
-            if all.tables.len() <= table {
-                all.tables.push(Vec::new());
-            }
-            all.tables[table].extend(batches);
-        }
-    }
-
     fn absorb(&self, subtotals: &RecordBatch) -> Result<(), StageError> {
         self.running.borrow_mut().absorb(subtotals)
     }
@@ -111,7 +100,7 @@ impl<'a> Adding<'a> {
     /// Ends the last group; returns all output.
     fn end(self) -> Result<OutputBatches, StageError> {
         let output = Cancel::catch(|| self.running.borrow_mut().flush())??;
-        self.take(output);
+        self.output.borrow_mut().append(output);
         Ok(self.output.into_inner())
     }
 }
@@ -132,7 +121,7 @@ impl Feed for Adding<'_> {
         }
         self.is_fed.set(true);
         let output = Cancel::catch(|| self.running.borrow_mut().push(&batch))??;
-        self.take(output);
+        self.output.borrow_mut().append(output);
         Ok(())
     }
 

@@ -1,6 +1,7 @@
 //! Reading a part: its files in batches within the memory budget, small ones side by side, large ones in pieces.
 
 use std::collections::BTreeMap;
+use std::iter::from_fn;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -12,8 +13,8 @@ use super::files::Files;
 use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::runs::Runs;
 use super::survey::{Capture, Item, Job, Surveyed, chain};
-use crate::campaign::{Campaign, Exposure, Stamp, hash_file};
-use crate::formats::Description;
+use super::units::{self, Read, Unit};
+use crate::campaign::{Campaign, Stamp, hash_file};
 use crate::stages::source::{Credit, Feed, PartRead};
 use crate::stages::stage::{Rejection, StageError};
 use crate::store::Digest;
@@ -27,9 +28,10 @@ pub const INDEX_ROWS: usize = 1 << 13;
 
 /// What came of a job.
 #[derive(Default)]
-struct Done {
-    rows: Records,
-    shots: i32,
+pub struct Done {
+    pub rows: Records,
+    /// Exposures.
+    pub shots: i32,
     digests: Vec<Hashed>,
     rejection: Option<Result<Rejection, StageError>>,
     /// What is to be said about the files, though their records are used.
@@ -122,48 +124,56 @@ impl Reader<'_> {
         self.small(captures, &group, bytes)
     }
 
-    /// Items that fit in one batch together: read in parallel, file by file.
+    /// Items that fit in one batch together: read side by side.
     fn small(&mut self, captures: &[Capture], group: &[(usize, &Item)], bytes: usize) -> Result<(), StageError> {
         if group.is_empty() {
             return Ok(());
         }
         let credit = self.feed.reserve(bytes)?;
-        let jobs: Vec<(usize, Job<'_>)> = group
-            .iter()
-            .map(|(index, item)| (*index, Job { capture: &captures[*index], item, first_shot: 0 }))
-            .collect();
-        let surveyed = self.surveyed;
-        let mut files: BTreeMap<(usize, Vec<&PathBuf>), Vec<(Description, Vec<usize>)>> = BTreeMap::new();
-        for (at, (_, job)) in jobs.iter().enumerate() {
-            let Exposure { keys, .. } = &job.item.exposure;
-            let readings = files.entry((job.capture.campaign, job.item.exposure.files().collect())).or_default();
-            match readings.iter_mut().find(|(description, _)| *description == keys.description()) {
-                Some((_, of_file)) => of_file.push(at),
-                None => readings.push((keys.description(), vec![at])),
-            }
+        let units = units::of(captures, group);
+        let (surveyed, in_place, keeps, shots) = (self.surveyed, self.feed.in_place(), self.feed.stores(), &self.shots);
+        let so_far = |capture: usize| shots.get(&capture).copied().unwrap_or(0);
+        let read: Vec<Read> = units.par_iter().map(|unit| unit.read(surveyed, in_place, keeps, so_far)).collect();
+        let mut read = units.iter().zip(read).peekable();
+        while let Some((_, Read { reduced: next, .. })) = read.peek() {
+            let is_reduced = next.is_some();
+            let run = from_fn(|| read.next_if(|(_, Read { reduced, .. })| reduced.is_some() == is_reduced)).collect();
+            if is_reduced { self.hand_on(run)? } else { self.send_rows(run, &credit)? }
         }
-        let files: Vec<Vec<usize>> = files.into_values().flatten().map(|(_, of_file)| of_file).collect();
-        let read = |of_file: &Vec<usize>| {
-            let of_jobs: Vec<&Job<'_>> = of_file.iter().map(|at| &jobs[*at].1).collect();
-            of_file.iter().copied().zip(read_items(surveyed, &of_jobs)).collect()
-        };
-        let done: Vec<Vec<(usize, Done)>> = files.par_iter().map(read).collect();
-        let mut done: Vec<(usize, Done)> = done.into_iter().flatten().collect();
-        done.sort_by_key(|(at, _)| *at);
-        let mut done = jobs.iter().zip(done).peekable();
-        while done.peek().is_some() {
-            let mut rows = Records::default();
-            for ((index, job), (_, done)) in done.by_ref().take(ITEMS_SENT) {
+        self.feed.read_bytes(bytes as u64);
+        Ok(())
+    }
+
+    /// Hands on what was made of captures where they were read.
+    fn hand_on(&mut self, units: Vec<(&Unit<'_>, Read)>) -> Result<(), StageError> {
+        let in_place = self.feed.in_place().expect("it has reduced them");
+        let (campaign, mut rows, mut all) = (units[0].0.jobs[0].1.capture.campaign, Records::default(), Vec::new());
+        for (unit, Read { done, reduced }) in units {
+            for ((index, job), done) in unit.jobs.iter().zip(done) {
+                rows.append(self.take(*index, job, done)?);
+            }
+            all.extend(reduced.transpose()?);
+        }
+        in_place.send(all)?;
+        if rows.is_empty() { Ok(()) } else { self.store(campaign, &rows, &rows.to_batch()) }
+    }
+
+    /// Sends rows on as they are.
+    fn send_rows<'u>(&mut self, units: Vec<(&'u Unit<'u>, Read)>, credit: &Credit) -> Result<(), StageError> {
+        let items = |(unit, read): (&'u Unit<'u>, Read)| unit.jobs.iter().zip(read.done);
+        let mut items = units.into_iter().flat_map(items).peekable();
+        while let Some(((_, Job { capture, .. }), _)) = items.peek() {
+            let (campaign, mut rows) = (capture.campaign, Records::default());
+            for ((index, job), done) in items.by_ref().take(ITEMS_SENT) {
                 rows.append(self.take(*index, job, done)?);
             }
             if !rows.is_empty() {
                 let batch = self.send(&rows, credit.clone())?;
                 if self.feed.stores() {
-                    self.store(captures[0].campaign, &rows, &batch)?;
+                    self.store(campaign, &rows, &batch)?;
                 }
             }
         }
-        self.feed.read_bytes(bytes as u64);
         Ok(())
     }
 
@@ -271,9 +281,9 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Notes what came of a job; numbers its exposures where the files do not. A file with another content on record
-    /// stops the run before anything that was made of it counts.
-    fn take(&mut self, index: usize, job: &Job<'_>, mut done: Done) -> Result<Records, StageError> {
+    /// Notes what came of a job. A file with another content on record stops the run before anything that was made of it
+    /// counts.
+    fn take(&mut self, index: usize, job: &Job<'_>, done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         self.rejections.extend(done.rejection.transpose()?);
         for remark in done.remarks {
@@ -283,9 +293,7 @@ impl Reader<'_> {
         }
         self.note(campaign, done.digests)?;
         if !job.item.is_numbered() {
-            let first = self.shots.entry(index).or_insert(0);
-            done.rows.number_from(*first);
-            *first += done.shots;
+            *self.shots.entry(index).or_insert(0) += done.shots;
         }
         Ok(done.rows)
     }
@@ -318,7 +326,7 @@ pub fn unread(campaign: &Campaign, file: &Path) -> StageError {
 
 /// Items of one file, with one reference: read whole where they take up most of it, else share by share, and hashed to
 /// its end unless this run has done so.
-fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
+pub fn read_items(surveyed: &Surveyed<'_>, jobs: &[&Job<'_>]) -> Vec<Done> {
     let first = jobs[0];
     let is_share = jobs.len() > 1 || first.item.is_share();
     let reject_all = |error: &Bad| -> Vec<Done> {

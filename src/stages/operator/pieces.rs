@@ -45,7 +45,7 @@ impl<S: Fold> Running for Pieces<'_, S> {
 
 impl<S: Fold> Joining for Pieces<'_, S> {
     fn is_primed(&self) -> bool {
-        self.groups.open.values().all(|state| self.pieces.is_primed(&self.groups.context, state))
+        self.groups.open.values().all(|state| self.pieces.is_primed(&self.groups.ready.context, state))
     }
 
     fn forget(&mut self) {

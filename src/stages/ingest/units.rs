@@ -1,0 +1,118 @@
+//! Items of a batch that are read together: captures that share no file with others of the batch. What is made of whole
+//! captures is made where they are read.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use rayon::prelude::*;
+
+use super::part::{Done, read_items};
+use super::survey::{Capture, Item, Job, Surveyed};
+use crate::campaign::Exposure;
+use crate::formats::Description;
+use crate::stages::source::{InPlace, Reduced};
+use crate::stages::stage::StageError;
+use crate::tables::traces::Records;
+
+/// Items of captures that follow one another.
+pub struct Unit<'a> {
+    /// The items, each with the number of its capture.
+    pub jobs: Vec<(usize, Job<'a>)>,
+    /// Whether it has all items of its captures.
+    is_whole: bool,
+}
+
+/// What was read of a unit.
+pub struct Read {
+    /// Item by item. Where the unit was reduced, the first one has the rows of all, without codes.
+    pub done: Vec<Done>,
+    /// What was made of its captures.
+    pub reduced: Option<Result<Reduced, StageError>>,
+}
+
+/// The files of an exposure: they are opened once for all items that have the same.
+type FilesKey<'a> = (usize, Vec<&'a PathBuf>);
+
+fn files<'a>((_, job): &(usize, Job<'a>)) -> FilesKey<'a> {
+    (job.capture.campaign, job.item.exposure.files().collect())
+}
+
+/// Splits a run of items, each with the number of its capture.
+pub fn of<'a>(captures: &'a [Capture], items: &[(usize, &'a Item)]) -> Vec<Unit<'a>> {
+    let job = |(index, item): &(usize, &'a Item)| (*index, Job { capture: &captures[*index], item, first_shot: 0 });
+    let jobs: Vec<(usize, Job<'a>)> = items.iter().map(job).collect();
+    let mut last: BTreeMap<(usize, &PathBuf), usize> = BTreeMap::new();
+    for (at, (_, Job { capture, item, .. })) in jobs.iter().enumerate() {
+        last.extend(item.exposure.files().map(|file| ((capture.campaign, file), at)));
+    }
+    let (mut units, mut unit, mut reach) = (Vec::new(), Vec::new(), 0);
+    for (at, (index, job)) in jobs.into_iter().enumerate() {
+        let goes_on = |(before, _): &(usize, Job<'_>)| *before == index || reach >= at;
+        if !unit.last().is_none_or(goes_on) {
+            units.push(Unit::new(std::mem::take(&mut unit)));
+        }
+        let of_job = job.item.exposure.files().map(|file| last[&(job.capture.campaign, file)]);
+        reach = of_job.fold(reach, usize::max);
+        unit.push((index, job));
+    }
+    units.extend((!unit.is_empty()).then(|| Unit::new(unit)));
+    units
+}
+
+impl<'a> Unit<'a> {
+    fn new(jobs: Vec<(usize, Job<'a>)>) -> Self {
+        let is = |job: &Job<'_>, item: Option<&Item>| item.is_some_and(|item| std::ptr::eq(item, job.item));
+        let begins = jobs.first().is_some_and(|(_, job)| is(job, job.capture.items.first()));
+        let ends = jobs.last().is_some_and(|(_, job)| is(job, job.capture.items.last()));
+        Self { jobs, is_whole: begins && ends }
+    }
+
+    /// Reads the items, and reduces their captures if these are whole; `keeps` says whether their rows are wanted
+    /// nevertheless. Captures whose files do not number exposures have `shots` so far.
+    pub fn read(
+        &self,
+        surveyed: &Surveyed<'_>,
+        in_place: Option<&dyn InPlace>,
+        keeps: bool,
+        shots: impl Fn(usize) -> i32,
+    ) -> Read {
+        let mut done = self.read_files(surveyed);
+        let mut next: BTreeMap<usize, i32> = BTreeMap::new();
+        let unnumbered = self.jobs.iter().zip(&mut done).filter(|((_, job), _)| !job.item.is_numbered());
+        for ((index, _), done) in unnumbered {
+            let next = next.entry(*index).or_insert_with(|| shots(*index));
+            done.rows.number_from(*next);
+            *next += done.shots;
+        }
+        let Some(in_place) = in_place.filter(|_| self.is_whole) else { return Read { done, reduced: None } };
+        let mut rows = Records::default();
+        done.iter_mut().for_each(|done| rows.append(std::mem::take(&mut done.rows)));
+        let reduced = Some(in_place.reduce(&rows.to_batch()));
+        if keeps {
+            done[0].rows = rows.without_codes();
+        }
+        Read { done, reduced }
+    }
+
+    /// Reads the items file by file.
+    fn read_files(&self, surveyed: &Surveyed<'_>) -> Vec<Done> {
+        let mut by_files: BTreeMap<FilesKey<'_>, Vec<(Description, Vec<usize>)>> = BTreeMap::new();
+        for (at, job) in self.jobs.iter().enumerate() {
+            let Exposure { keys, .. } = &job.1.item.exposure;
+            let readings = by_files.entry(files(job)).or_default();
+            match readings.iter_mut().find(|(description, _)| *description == keys.description()) {
+                Some((_, of_file)) => of_file.push(at),
+                None => readings.push((keys.description(), vec![at])),
+            }
+        }
+        let by_files: Vec<Vec<usize>> = by_files.into_values().flatten().map(|(_, of_file)| of_file).collect();
+        let read = |of_file: &Vec<usize>| {
+            let jobs: Vec<&Job<'_>> = of_file.iter().map(|at| &self.jobs[*at].1).collect();
+            of_file.iter().copied().zip(read_items(surveyed, &jobs)).collect()
+        };
+        let done: Vec<Vec<(usize, Done)>> = by_files.par_iter().map(read).collect();
+        let mut done: Vec<(usize, Done)> = done.into_iter().flatten().collect();
+        done.sort_by_key(|(at, _)| *at);
+        done.into_iter().map(|(_, done)| done).collect()
+    }
+}
