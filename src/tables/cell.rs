@@ -1,6 +1,7 @@
 //! Types of columns: numbers, texts, lists, codes of a record and samples of a waveform. The last two share their
 //! buffers with the table.
 
+use std::iter::repeat_n;
 use std::ops::Deref;
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type};
 use arrow_array::{
     Array, ArrayRef, BinaryViewArray, BooleanArray, Float32Array, Float64Array, Int32Array, Int64Array, ListArray,
-    StringArray,
+    StringArray, new_null_array,
 };
 use arrow_buffer::{Buffer, OffsetBuffer, ScalarBuffer};
 use arrow_schema::{DataType, Field};
@@ -29,6 +30,10 @@ pub trait Cell: Sized {
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef
     where
         Self: 'a;
+    /// The column of so many cells like this one.
+    fn repeat(&self, rows: usize) -> ArrayRef {
+        Self::build(repeat_n(self, rows))
+    }
     /// Cell `i`.
     fn get(array: &Self::Array, i: usize) -> Self;
 }
@@ -42,6 +47,7 @@ macro_rules! primitive_cell {
             fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
                 Arc::new(<$array>::from(cells.copied().collect::<Vec<_>>()))
             }
+            fn repeat(&self, rows: usize) -> ArrayRef { Arc::new(<$array>::from(vec![*self; rows])) }
             fn get(array: &Self::Array, i: usize) -> Self { array.value(i) }
         }
         impl Cell for Option<$native> {
@@ -50,6 +56,9 @@ macro_rules! primitive_cell {
             fn data_type() -> DataType { $data_type }
             fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
                 Arc::new(cells.copied().collect::<$array>())
+            }
+            fn repeat(&self, rows: usize) -> ArrayRef {
+                self.map_or_else(|| new_null_array(&Self::data_type(), rows), |value| value.repeat(rows))
             }
             fn get(array: &Self::Array, i: usize) -> Self { array.is_valid(i).then(|| array.value(i)) }
         }
@@ -71,6 +80,10 @@ impl Cell for Name {
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
         Arc::new(StringArray::from_iter_values(cells))
     }
+    fn repeat(&self, rows: usize) -> ArrayRef {
+        let offsets = OffsetBuffer::from_lengths(repeat_n(self.len(), rows));
+        Arc::new(StringArray::new(offsets, Buffer::from_vec(self.as_bytes().repeat(rows)), None))
+    }
     fn get(array: &Self::Array, i: usize) -> Self {
         array.value(i).into()
     }
@@ -84,6 +97,9 @@ impl Cell for Option<Name> {
     }
     fn build<'a>(cells: impl Iterator<Item = &'a Self>) -> ArrayRef {
         Arc::new(cells.map(|cell| cell.as_deref()).collect::<StringArray>())
+    }
+    fn repeat(&self, rows: usize) -> ArrayRef {
+        self.as_ref().map_or_else(|| new_null_array(&Self::data_type(), rows), |text| text.repeat(rows))
     }
     fn get(array: &Self::Array, i: usize) -> Self {
         array.is_valid(i).then(|| array.value(i).into())

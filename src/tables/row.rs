@@ -58,6 +58,8 @@ pub trait Row: Sized + Clone + Send + Sync + 'static {
     fn schema() -> SchemaRef;
     /// Makes one batch of rows. A row that is listed several times is not copied first.
     fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> RecordBatch;
+    /// One batch of so many rows like this one.
+    fn repeat(&self, rows: usize) -> RecordBatch;
     /// Typed view of a batch, without copying.
     ///
     /// # Errors
@@ -192,6 +194,12 @@ macro_rules! table {
             fn to_batch_of<'a>(rows: impl Iterator<Item = &'a Self> + Clone) -> ::arrow_array::RecordBatch {
                 let columns: Vec<::arrow_array::ArrayRef> =
                     vec![$(<$cell as $crate::tables::cell::Cell>::build(rows.clone().map(|row| &row.$name))),+];
+                ::arrow_array::RecordBatch::try_new(Self::schema(), columns).expect("columns are built from their own schema")
+            }
+
+            fn repeat(&self, rows: usize) -> ::arrow_array::RecordBatch {
+                let columns: Vec<::arrow_array::ArrayRef> =
+                    vec![$(<$cell as $crate::tables::cell::Cell>::repeat(&self.$name, rows)),+];
                 ::arrow_array::RecordBatch::try_new(Self::schema(), columns).expect("columns are built from their own schema")
             }
 

@@ -217,7 +217,10 @@ impl Records {
     /// The rows.
     #[must_use]
     pub fn to_batch(&self) -> RecordBatch {
-        let rows = Trace::to_batch_of(self.own.iter().map(|own| &self.shared[own.shared].row));
+        let rows = match self.shared.as_slice() {
+            [shared] => shared.row.repeat(self.own.len()),
+            shared => Trace::to_batch_of(self.own.iter().map(|own| &shared[own.shared].row)),
+        };
         with(
             &rows,
             [
