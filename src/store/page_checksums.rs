@@ -4,13 +4,16 @@
 //! The Parquet crate checks them where they exist, but writes none. Therefore this file keeps the pages of a column
 //! chunk as the crate makes them. It adds the checksum to each header before the chunk enters the file.
 
+use std::collections::VecDeque;
+use std::io::{self, Read};
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use bytes::Bytes;
+use bytes::{Buf, Bytes};
 use parquet::arrow::arrow_writer::{PageKey, PageStore, PageStoreArgs, PageStoreFactory};
 use parquet::column::writer::ColumnCloseResult;
 use parquet::errors::{ParquetError, Result};
+use parquet::file::reader::{ChunkReader, Length};
 
 /// Start of an i32 field that directly follows the previous field, in Thrift's compact protocol.
 const NEXT_I32: u8 = 0x15;
@@ -59,11 +62,65 @@ impl PageStore for Kept {
     }
 }
 
+/// A column chunk, its pages where they were made: in one block they would be copied once more.
+pub struct Chunk {
+    pieces: Vec<Bytes>,
+    bytes: u64,
+}
+
+impl Length for Chunk {
+    fn len(&self) -> u64 {
+        self.bytes
+    }
+}
+
+impl ChunkReader for Chunk {
+    type T = PiecesReader;
+
+    fn get_read(&self, start: u64) -> Result<PiecesReader> {
+        let mut reader = PiecesReader(self.pieces.clone().into());
+        reader.skip(start as usize);
+        Ok(reader)
+    }
+
+    fn get_bytes(&self, start: u64, length: usize) -> Result<Bytes> {
+        let mut bytes = vec![0; length];
+        self.get_read(start)?.read_exact(&mut bytes)?;
+        Ok(bytes.into())
+    }
+}
+
+/// Reads piece after piece.
+pub struct PiecesReader(VecDeque<Bytes>);
+
+impl PiecesReader {
+    fn skip(&mut self, mut bytes: usize) {
+        while let Some(first) = self.0.front_mut().filter(|_| bytes > 0) {
+            let step = bytes.min(first.len());
+            first.advance(step);
+            bytes -= step;
+            if first.is_empty() {
+                self.0.pop_front();
+            }
+        }
+    }
+}
+
+impl Read for PiecesReader {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let Some(first) = self.0.front() else { return Ok(0) };
+        let count = first.len().min(buffer.len());
+        buffer[..count].copy_from_slice(&first[..count]);
+        self.skip(count);
+        Ok(count)
+    }
+}
+
 /// The chunk's bytes with checksums, its dictionary first, and the adjusted description for the row group.
 ///
 /// # Errors
 /// When a page header differs from the form that the crate writes.
-pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes, ColumnCloseResult)> {
+pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Chunk, ColumnCloseResult)> {
     let pages = pages.lock().unwrap_or_else(PoisonError::into_inner);
     let (mut dictionary, mut data, mut sizes) = (Vec::new(), Vec::new(), Vec::new());
     let mut grown = 0;
@@ -80,12 +137,9 @@ pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes
     }
     let length = |pages: &[(Vec<u8>, &Bytes)]| pages.iter().map(|(header, body)| header.len() + body.len()).sum();
     let (dictionary_bytes, data_bytes): (usize, usize) = (length(&dictionary), length(&data));
-    // One block of the right size: bytes that move into larger and larger ones cost a page fault each time.
-    let mut chunk = Vec::with_capacity(dictionary_bytes + data_bytes);
-    for (header, body) in dictionary.iter().chain(&data) {
-        chunk.extend_from_slice(header);
-        chunk.extend_from_slice(body);
-    }
+    let pieces = dictionary.into_iter().chain(data).flat_map(|(header, body)| [header.into(), body.clone()]);
+    // A page of nulls has an empty body.
+    let pieces = pieces.filter(|piece| !piece.is_empty()).collect();
     let mut close = close.clone();
     close.bytes_written = close.bytes_written.saturating_add_signed(grown);
     let (compressed, uncompressed) = (close.metadata.compressed_size(), close.metadata.uncompressed_size());
@@ -102,7 +156,7 @@ pub fn with_checksums(pages: &Pages, close: &ColumnCloseResult) -> Result<(Bytes
         (location.offset, location.compressed_page_size) = (offset, size as i32);
         offset += size as i64;
     }
-    Ok((chunk.into(), close))
+    Ok((Chunk { pieces, bytes: (dictionary_bytes + data_bytes) as u64 }, close))
 }
 
 /// Whether a page has the checksum in its header. `page` is header and bytes.

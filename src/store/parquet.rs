@@ -3,15 +3,15 @@
 //! The sizes of the rows decide where a row group ends, so that a file's bytes do not depend on how the rows were
 //! batched. The worker pool encodes row groups; they are appended in order.
 
+use std::collections::VecDeque;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
-use arrow_array::{Array, RecordBatch};
+use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::{DataType, Field, SchemaRef};
-use arrow_select::concat::concat_batches;
-use bytes::Bytes;
+use arrow_select::concat::concat;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder};
 use parquet::arrow::arrow_writer::{ArrowColumnWriter, ArrowRowGroupWriterFactory, ArrowWriterOptions, compute_leaves};
@@ -30,10 +30,13 @@ use super::damage;
 use super::digesting::Digesting;
 use super::disk;
 use super::failure::{At, StoreError};
-use super::page_checksums::{ChunkPages, with_checksums};
+use super::page_checksums::{Chunk, ChunkPages, with_checksums};
 
 /// A row group ends with the row that brings it to this many bytes.
 pub const ROW_GROUP_BYTES: usize = 4 << 20;
+/// Waveforms of a row group are encoded so many bytes at a time: what the encoder makes of them on the way, their levels
+/// above all, then stays in the cache.
+const PIECE_BYTES: usize = 8 << 10;
 /// Most rows of a row group.
 const ROW_GROUP_ROWS: usize = 1 << 16;
 
@@ -63,11 +66,11 @@ pub struct TableWriter {
     /// Pages of the column chunks in encoding.
     pages: Arc<ChunkPages>,
     /// Rows of the unfinished row group.
-    open: Vec<RecordBatch>,
+    open: Group,
     open_bytes: usize,
     open_rows: usize,
     /// Complete row groups that wait to be encoded together.
-    whole: Vec<RecordBatch>,
+    whole: Vec<Group>,
     groups: usize,
     rows: u64,
 }
@@ -94,7 +97,7 @@ impl TableWriter {
             writer,
             factory,
             pages,
-            open: Vec::new(),
+            open: Group::default(),
             open_bytes: 0,
             open_rows: 0,
             whole: Vec::new(),
@@ -119,21 +122,21 @@ impl TableWriter {
         for (row, bytes) in row_bytes(batch).into_iter().enumerate() {
             self.open_bytes += bytes;
             self.open_rows += 1;
+            self.open.count(bytes);
             if self.open_bytes >= ROW_GROUP_BYTES || self.open_rows >= ROW_GROUP_ROWS {
-                self.open.push(batch.slice(start, row + 1 - start));
+                self.open.batches.push(batch.slice(start, row + 1 - start));
                 start = row + 1;
                 self.close_group()?;
             }
         }
         if start < batch.num_rows() {
-            self.open.push(batch.slice(start, batch.num_rows() - start));
+            self.open.batches.push(batch.slice(start, batch.num_rows() - start));
         }
         Ok(())
     }
 
     fn close_group(&mut self) -> Result<(), ParquetError> {
-        self.whole.push(concat_batches(&self.schema, &self.open)?);
-        self.open.clear();
+        self.whole.push(std::mem::take(&mut self.open));
         (self.open_bytes, self.open_rows) = (0, 0);
         if self.whole.len() >= rayon::current_num_threads() { self.encode() } else { Ok(()) }
     }
@@ -141,33 +144,37 @@ impl TableWriter {
     fn encode(&mut self) -> Result<(), ParquetError> {
         // Every column of every group is a task of its own, so that all threads are busy.
         let mut columns = Vec::new();
-        for (group, batch) in self.whole.drain(..).enumerate() {
-            let mut writers = self.factory.create_column_writers(self.groups + group)?.into_iter();
+        for (number, group) in self.whole.iter().enumerate() {
+            let mut writers = self.factory.create_column_writers(self.groups + number)?.into_iter();
             let mut pages = self.pages.take().into_iter();
-            for ((field, column), leaves) in batch.schema_ref().fields().iter().zip(batch.columns()).zip(&self.leaves) {
+            for (column, leaves) in self.leaves.iter().enumerate() {
                 let writers: Vec<_> = writers.by_ref().zip(pages.by_ref()).take(*leaves).collect();
-                columns.push((group, Arc::clone(field), Arc::clone(column), writers));
+                columns.push((number, group, column, writers));
             }
         }
-        let encoded: Vec<Vec<(usize, Bytes, ColumnCloseResult)>> = columns
+        let encoded: Vec<Vec<(usize, Chunk, ColumnCloseResult)>> = columns
             .into_par_iter()
-            .map(|(group, field, column, writers)| {
-                let leaves = compute_leaves(&field, &column)?;
-                assert_eq!(leaves.len(), writers.len(), "one writer a leaf column of {}", field.name());
-                let encode = |(leaf, (mut writer, pages)): (_, (ArrowColumnWriter, _))| {
-                    writer.write(&leaf)?;
+            .map(|(number, group, column, mut writers)| {
+                let field = self.schema.field(column);
+                for piece in group.pieces(field, column)? {
+                    let leaves = compute_leaves(field, &piece)?;
+                    assert_eq!(leaves.len(), writers.len(), "one writer a leaf column of {}", field.name());
+                    leaves.iter().zip(&mut writers).try_for_each(|(leaf, (writer, _))| writer.write(leaf))?;
+                }
+                let end = |(writer, pages): (ArrowColumnWriter, _)| {
                     let close = writer.close()?.close().clone();
-                    let (bytes, close) = with_checksums(&pages, &close)?;
-                    Ok((group, bytes, close))
+                    let (chunk, close) = with_checksums(&pages, &close)?;
+                    Ok((number, chunk, close))
                 };
-                leaves.into_iter().zip(writers).map(encode).collect()
+                writers.into_iter().map(end).collect()
             })
             .collect::<Result<_, ParquetError>>()?;
+        self.whole.clear();
         let encoded: Vec<_> = encoded.into_iter().flatten().collect();
         for group in encoded.chunk_by(|a, b| a.0 == b.0) {
             let mut writer = self.writer.next_row_group()?;
-            for (_, bytes, close) in group {
-                writer.append_column(bytes, close.clone())?;
+            for (_, chunk, close) in group {
+                writer.append_column(chunk, close.clone())?;
             }
             writer.close()?;
             self.groups += 1;
@@ -180,7 +187,7 @@ impl TableWriter {
     /// # Errors
     /// When the file cannot be written.
     pub fn finish(mut self, footer: &[(&str, String)]) -> Result<FileRecord, ParquetError> {
-        if !self.open.is_empty() {
+        if self.open_rows > 0 {
             self.close_group()?;
         }
         self.encode()?;
@@ -194,6 +201,59 @@ impl TableWriter {
         sink.flush()?;
         let (bytes, digest, footer) = sink.finish();
         Ok(FileRecord { rows: self.rows, bytes, digest, pages_end, footer })
+    }
+}
+
+/// Rows of a row group.
+#[derive(Default)]
+struct Group {
+    /// As they came.
+    batches: Vec<RecordBatch>,
+    /// Rows of each piece that is full, and of the last one.
+    pieces: Vec<usize>,
+    rows: usize,
+    bytes: usize,
+}
+
+impl Group {
+    /// Takes the next row into account: pieces depend on the rows alone, not on how these came.
+    fn count(&mut self, bytes: usize) {
+        (self.rows, self.bytes) = (self.rows + 1, self.bytes + bytes);
+        if self.bytes >= PIECE_BYTES {
+            self.pieces.push(self.rows);
+            (self.rows, self.bytes) = (0, 0);
+        }
+    }
+
+    /// A column as it is encoded: waveforms in pieces, others at once.
+    fn pieces(&self, field: &Field, column: usize) -> Result<Vec<ArrayRef>, ParquetError> {
+        let arrays = self.batches.iter().map(|batch| Arc::clone(batch.column(column)));
+        if !is_waveform(field) {
+            return Ok(vec![joined(&arrays.collect::<Vec<_>>())?]);
+        }
+        let mut arrays: VecDeque<ArrayRef> = arrays.collect();
+        let piece = |mut missing: usize| {
+            let mut parts = Vec::new();
+            while missing > 0 {
+                let array = arrays.pop_front().expect("pieces have the rows of the group");
+                let rows = missing.min(array.len());
+                parts.push(array.slice(0, rows));
+                if rows < array.len() {
+                    arrays.push_front(array.slice(rows, array.len() - rows));
+                }
+                missing -= rows;
+            }
+            joined(&parts)
+        };
+        self.pieces.iter().copied().chain((self.rows > 0).then_some(self.rows)).map(piece).collect()
+    }
+}
+
+/// Arrays as one; a single one is not copied.
+fn joined(arrays: &[ArrayRef]) -> Result<ArrayRef, ParquetError> {
+    match arrays {
+        [array] => Ok(Arc::clone(array)),
+        arrays => Ok(concat(&arrays.iter().map(|array| &**array).collect::<Vec<_>>())?),
     }
 }
 
@@ -242,16 +302,17 @@ pub fn vacant(field: &Field) -> Field {
     field.clone().with_metadata(metadata)
 }
 
+/// Whether a column holds waveforms.
+fn is_waveform(field: &Field) -> bool {
+    matches!(field.data_type(), DataType::List(item) if item.data_type() == &DataType::Float32)
+}
+
 /// Whether a column holds samples: codes, or a waveform.
 fn holds_samples(field: &Field) -> bool {
     if field.metadata().get(VACANT.0).is_some_and(|mark| mark == VACANT.1) {
         return false;
     }
-    match field.data_type() {
-        DataType::BinaryView => true,
-        DataType::List(item) => item.data_type() == &DataType::Float32,
-        _ => false,
-    }
+    field.data_type() == &DataType::BinaryView || is_waveform(field)
 }
 
 /// Columns are compressed, except lists of floats, since their low bits are noise. In tables of samples only codes are
