@@ -138,7 +138,9 @@ impl TableWriter {
     fn close_group(&mut self) -> Result<(), ParquetError> {
         self.whole.push(std::mem::take(&mut self.open));
         (self.open_bytes, self.open_rows) = (0, 0);
-        if self.whole.len() >= rayon::current_num_threads() { self.encode() } else { Ok(()) }
+        // As many groups as give each thread a column of samples.
+        let large = self.schema.fields().iter().filter(|field| holds_samples(field)).count().max(1);
+        if self.whole.len() * large >= rayon::current_num_threads() { self.encode() } else { Ok(()) }
     }
 
     fn encode(&mut self) -> Result<(), ParquetError> {
