@@ -23,6 +23,9 @@ use crate::tables::traces::Records;
 
 /// Items that are sent on together: what is made of small ones takes many times their own bytes.
 const ITEMS_SENT: usize = 64;
+/// Batches that are read together where captures are reduced in place: what is made of them is small, and threads wait
+/// for one another less often.
+const IN_PLACE_BATCHES: usize = 4;
 /// Rows of an index that are stored together.
 pub const INDEX_ROWS: usize = 1 << 13;
 
@@ -105,12 +108,13 @@ impl Reader<'_> {
         captures: &[Capture],
         shares: impl Iterator<Item = Share<'i>>,
     ) -> Result<(), StageError> {
+        let batches = if self.feed.in_place().is_some() { IN_PLACE_BATCHES } else { 1 };
         let mut group: Vec<(usize, &Item)> = Vec::new();
         let mut bytes = 0;
         for share in shares {
             let item = share.item;
             let large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
-            if large || bytes + item.bytes as usize > self.batch_bytes {
+            if large || bytes + item.bytes as usize > batches * self.batch_bytes {
                 self.small(captures, &std::mem::take(&mut group), bytes)?;
                 bytes = 0;
             }
