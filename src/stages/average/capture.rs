@@ -1,7 +1,5 @@
 //! The records of one capture, sorted by vertical range and given their time zero.
 
-use std::collections::BTreeMap;
-
 use super::piece::Extent;
 use super::record;
 use super::reference::ReferencePulse;
@@ -18,8 +16,8 @@ use crate::tables::{Codes, Name, Profile, Row, Subtotal, Trace};
 pub struct Capture {
     /// First signal row; until one comes, a row with its key.
     first: Trace,
-    /// By name; the empty one where captures have but one.
-    ranges: BTreeMap<Name, Shots>,
+    /// In the order of names; the empty one where captures have but one.
+    ranges: Vec<(Name, Shots)>,
     /// Reference pulse of the shot whose signal comes next: shot and pulse; `None` where no pulse was found.
     reference: Option<(i32, Option<ReferencePulse>)>,
     /// Whether that reference pulse is cut off at the rails.
@@ -50,7 +48,7 @@ impl Capture {
     pub fn new(first: Trace, extent: Extent) -> Self {
         Self {
             first,
-            ranges: BTreeMap::new(),
+            ranges: Vec::new(),
             reference: None,
             reference_clipped: false,
             first_pulse_ps: None,
@@ -93,11 +91,12 @@ impl Capture {
             self.first = Trace::read(columns, i);
         }
         let range = columns.range.value(i);
-        if !self.ranges.contains_key(range) {
+        let place = self.place_of(range).unwrap_or_else(|place| {
             let shots = Shots::new(average, context, Trace::read(columns, i), self.extent);
-            self.ranges.insert(range.into(), shots);
-        }
-        let shots = self.ranges.get_mut(range).expect("put there if it was not");
+            self.ranges.insert(place, (range.into(), shots));
+            place
+        });
+        let (_, shots) = &mut self.ranges[place];
         if !is_alike(&shots.first, columns, i) {
             shots.rejected.other_scale += 1;
             return;
@@ -131,12 +130,12 @@ impl Capture {
     pub fn is_primed(&self, context: &Context) -> bool {
         let of_train = context.period_ps(&self.first).is_some() && context.template(&self.first).is_some();
         let is_timed = !of_train || self.first_pulse_ps.is_some();
-        is_timed && !self.ranges.is_empty() && self.ranges.values().all(Shots::is_primed)
+        is_timed && !self.ranges.is_empty() && self.ranges.iter().all(|(_, shots)| shots.is_primed())
     }
 
     /// Forgets what was added up; of the ranges seen so far no first shots are to come.
     pub fn forget(&mut self, average: &Average) {
-        self.ranges.values_mut().for_each(|shots| shots.forget(average));
+        self.ranges.iter_mut().for_each(|(_, shots)| shots.forget(average));
         (self.has_reference, self.missing_template) = (false, false);
     }
 
@@ -157,8 +156,14 @@ impl Capture {
         self.has_reference |= subtotal.has_reference;
         self.missing_template |= subtotal.missing_template;
         let range = subtotal.range.clone().unwrap_or_default();
-        let shots = self.ranges.get_mut(&range);
-        shots.ok_or_else(|| format!("has shots of a vertical range {range} without first shots"))?.absorb(subtotal)
+        let place = self.place_of(&range);
+        let place = place.map_err(|_| format!("has shots of a vertical range {range} without first shots"))?;
+        self.ranges[place].1.absorb(subtotal)
+    }
+
+    /// Where a range stands, or where it would.
+    fn place_of(&self, range: &str) -> Result<usize, usize> {
+        self.ranges.binary_search_by(|(name, _)| (**name).cmp(range))
     }
 
     /// The capture's profile.
