@@ -38,7 +38,7 @@ enum Message {
     /// Rows of the open part, and the hold on memory that they come with.
     Rows(RecordBatch, Option<Credit>),
     /// What each step below made of the next rows where these were read.
-    Reduced(Vec<Vec<Outcomes>>),
+    Reduced(Vec<Vec<Made>>),
     /// Rows of the open part for the shelf alone.
     Stored(RecordBatch),
     /// The open part ends; its number, its lineage, and what its source rejected.
@@ -46,6 +46,9 @@ enum Message {
     /// No more parts.
     End,
 }
+
+/// What a step made of some captures where these were read.
+type Made = Result<Outcomes, Failure>;
 
 /// A tree of steps: its root, and the steps that stream from one another below it.
 pub struct Pass {
@@ -134,16 +137,22 @@ impl Shared<'_> {
 
     /// Runs the body of a thread; the first failure stops everybody.
     fn guard(&self, step: usize, body: impl FnOnce() -> Result<(), Failure>) {
-        let failure = match catch_unwind(AssertUnwindSafe(|| Cancel::catch(body))) {
-            Ok(Ok(Ok(()) | Err(Failure::Stopped))) => return,
-            Ok(Ok(Err(failure))) => failure,
-            Ok(Err(Cancelled)) => Failure::Early(Ended::Interrupted),
+        match self.caught(step, body) {
+            Ok(()) | Err(Failure::Stopped) => {}
+            Err(failure) => self.fail(failure),
+        }
+    }
+
+    /// Does something on behalf of a step, whose failure a panic is.
+    fn caught<T>(&self, step: usize, body: impl FnOnce() -> Result<T, Failure>) -> Result<T, Failure> {
+        match catch_unwind(AssertUnwindSafe(|| Cancel::catch(body))) {
+            Ok(Ok(result)) => result,
+            Ok(Err(Cancelled)) => Err(Failure::Early(Ended::Interrupted)),
             Err(panic) => {
                 let message = panic_text(panic.as_ref());
-                Failure::Cause(RunError::Panic { heading: self.heading(step), message })
+                Err(Failure::Cause(RunError::Panic { heading: self.heading(step), message }))
             }
-        };
-        self.fail(failure);
+        }
     }
 
     /// The first failure counts; the others follow from it.
@@ -217,7 +226,7 @@ pub fn run(
             let joined = pass.joined.as_ref().filter(|joined| joined.step == step);
             let announce = (plan.from(step) == Some(pass.root)).then(|| {
                 let (announce, reducer) = bounded(1);
-                reducers.push(reducer);
+                reducers.push((step, reducer));
                 announce
             });
             let ends = step::Ends { step, input: receiver, children, announce };

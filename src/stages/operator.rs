@@ -105,7 +105,7 @@ pub trait Operator: Send + Sync {
 pub struct Started<'a> {
     /// What takes them in their order.
     pub running: Box<dyn Running + 'a>,
-    /// What takes groups by themselves, where these stream.
+    /// What takes captures by themselves, where these are the groups.
     pub reducer: Option<Arc<dyn Reducer + 'a>>,
 }
 
@@ -180,7 +180,7 @@ impl<S: Fold> Operator for S {
     fn start<'a>(&'a self, campaigns: &[Campaign], beside: &BesideTables) -> Result<Started<'a>, StageError> {
         let context = self.context(Stage::fields(self, campaigns), beside)?;
         let ready = Arc::new(Ready { stage: self, context, cancel: beside.cancel.clone() });
-        let reducer = S::GRAIN.streams().then(|| Arc::clone(&ready) as Arc<dyn Reducer + 'a>);
+        let reducer = (S::GRAIN == Grain::Capture).then(|| Arc::clone(&ready) as Arc<dyn Reducer + 'a>);
         Ok(Started { running: Box::new(Groups { ready, open: BTreeMap::new(), saves: None }), reducer })
     }
     fn subtotals(&self) -> Option<SchemaRef> {
@@ -343,11 +343,7 @@ fn batches<S: Fold>(outcomes: Vec<Outcome<S::Output>>) -> Result<OutputBatches, 
     }
     let mut tables = vec![if rows.is_empty() { Vec::new() } else { vec![S::Output::to_batch(&rows)] }];
     for (side, batches) in S::SIDES.iter().zip(sides) {
-        tables.push(if batches.is_empty() {
-            Vec::new()
-        } else {
-            vec![concat_batches(&(side.schema)(), &batches)?]
-        });
+        tables.push(if batches.is_empty() { Vec::new() } else { vec![concat_batches(&(side.schema)(), &batches)?] });
     }
     Ok(OutputBatches { tables, rejections })
 }

@@ -1,5 +1,6 @@
 //! What has no streamed input: parts that are read from elsewhere, within the memory budget.
 
+use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use arrow_array::RecordBatch;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::operator::{Outcomes, WrittenTable};
+use super::operator::WrittenTable;
 use super::stage::{Rejection, StageError};
 use crate::campaign::{Campaign, LeftOut, Role};
 use crate::store::Digest;
@@ -60,16 +61,13 @@ pub trait Feed {
     }
 }
 
-/// What each of the stages below a source made of some captures.
-pub struct Reduced(pub Vec<Outcomes>);
+/// What the stages below a source made of some captures: the runtime's own business.
+pub struct Reduced(pub Box<dyn Any + Send>);
 
 /// The stages below a source, at work on whole captures in the source's own threads.
 pub trait InPlace: Sync {
     /// Takes all rows of some captures. Calls may run side by side.
-    ///
-    /// # Errors
-    /// When a table as a whole cannot be made.
-    fn reduce(&self, batch: &RecordBatch) -> Result<Reduced, StageError>;
+    fn reduce(&self, batch: &RecordBatch) -> Reduced;
     /// Hands on what was made of the captures that come next, in their order.
     ///
     /// # Errors

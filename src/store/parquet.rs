@@ -34,8 +34,8 @@ use super::page_checksums::{Chunk, ChunkPages, with_checksums};
 
 /// A row group ends with the row that brings it to this many bytes.
 pub const ROW_GROUP_BYTES: usize = 4 << 20;
-/// Waveforms of a row group are encoded so many bytes at a time: what the encoder makes of them on the way, their levels
-/// above all, then stays in the cache.
+/// Waveforms of a row group are encoded so many bytes at a time: what the encoder makes of them on the way, their
+/// levels above all, then stays in the cache.
 const PIECE_BYTES: usize = 8 << 10;
 /// Most rows of a row group.
 const ROW_GROUP_ROWS: usize = 1 << 16;

@@ -5,8 +5,8 @@ use std::sync::{Arc, PoisonError};
 use arrow_array::RecordBatch;
 use crossbeam_channel::{Receiver, Sender};
 
-use super::{Failure, Message, Pass, Shared, send};
-use crate::stages::operator::{Outcomes, Reducer};
+use super::{Failure, Made, Message, Pass, Shared, send};
+use crate::stages::operator::Reducer;
 use crate::stages::source::{Credit, Feed, InPlace, PartRead, Reduced};
 use crate::stages::stage::StageError;
 
@@ -15,11 +15,14 @@ pub(super) fn read<'a>(
     shared: &Shared<'a>,
     pass: &Pass,
     children: &[Sender<Message>],
-    reducers: Vec<Receiver<Option<Arc<dyn Reducer + 'a>>>>,
+    reducers: Vec<(usize, Receiver<Option<Arc<dyn Reducer + 'a>>>)>,
 ) -> Result<(), Failure> {
     let plan = shared.plan;
-    let reducers: Option<Vec<_>> =
-        reducers.into_iter().map(|reducer| reducer.recv().map_err(|_| Failure::Stopped)).collect::<Result<_, _>>()?;
+    let announced = |(step, reducer): (usize, Receiver<Option<_>>)| {
+        let reducer = reducer.recv().map_err(|_| Failure::Stopped)?;
+        Ok(reducer.map(|reducer| (step, reducer)))
+    };
+    let reducers: Option<Vec<_>> = reducers.into_iter().map(announced).collect::<Result<_, Failure>>()?;
     // Rows that are to be stored or joined have to come by.
     let reducers = reducers.filter(|_| !plan.stands_in(pass.root) && pass.joined.is_none());
     let in_place = reducers.map(|reducers| InThreads { shared, children, reducers });
@@ -80,18 +83,23 @@ struct InThreads<'a> {
     shared: &'a Shared<'a>,
     /// As in [`Channel`].
     children: &'a [Sender<Message>],
-    /// Of each step.
-    reducers: Vec<Arc<dyn Reducer + 'a>>,
+    /// Each step.
+    reducers: Vec<(usize, Arc<dyn Reducer + 'a>)>,
 }
 
-impl InPlace for InThreads<'_> {
-    fn reduce(&self, batch: &RecordBatch) -> Result<Reduced, StageError> {
-        Ok(Reduced(self.reducers.iter().map(|reducer| reducer.reduce(batch)).collect::<Result<_, _>>()?))
+impl<'a> InPlace for InThreads<'a> {
+    fn reduce(&self, batch: &RecordBatch) -> Reduced {
+        let shared = self.shared;
+        let reduce = |(step, reducer): &(usize, Arc<dyn Reducer + 'a>)| {
+            shared.caught(*step, || reducer.reduce(batch).map_err(|error| shared.failed(*step, error)))
+        };
+        Reduced(Box::new(self.reducers.iter().map(reduce).collect::<Vec<Made>>()))
     }
 
     fn send(&self, reduced: Vec<Reduced>) -> Result<(), StageError> {
-        let mut outcomes: Vec<Vec<Outcomes>> = self.reducers.iter().map(|_| Vec::new()).collect();
+        let mut outcomes: Vec<Vec<Made>> = self.reducers.iter().map(|_| Vec::new()).collect();
         for Reduced(made) in reduced {
+            let made = *made.downcast::<Vec<Made>>().expect("made above");
             outcomes.iter_mut().zip(made).for_each(|(of_step, made)| of_step.push(made));
         }
         let send = || self.children[0].send(Message::Reduced(outcomes));

@@ -5,9 +5,9 @@ use std::sync::{Arc, PoisonError};
 use arrow_array::RecordBatch;
 use crossbeam_channel::{Receiver, Sender};
 
-use super::{Ended, Failure, Joined, Message, Shared, send};
+use super::{Ended, Failure, Joined, Made, Message, Shared, send};
 use crate::stages::Node;
-use crate::stages::operator::{Outcomes, OutputBatches, Reducer, Running, Started};
+use crate::stages::operator::{OutputBatches, Reducer, Running, Started};
 use crate::stages::source::Credit;
 use crate::stages::stage::{BesideTables, StageError};
 use crate::store::shelf::PartWriter;
@@ -86,13 +86,14 @@ pub(super) fn work<'a>(
                     hand_on(children, outcomes)?;
                     continue;
                 };
-                let made = || -> Result<OutputBatches, StageError> {
+                let outcomes = outcomes.into_iter().flatten().collect::<Result<_, _>>()?;
+                let rows = || -> Result<OutputBatches, StageError> {
                     // The group that was open has ended before these.
                     let mut output = running.flush()?;
-                    output.append(reducer.rows(outcomes.into_iter().flatten().collect())?);
+                    output.append(reducer.rows(outcomes)?);
                     Ok(output)
                 };
-                let output = shared.span(step, "compute", made).map_err(failed)?;
+                let output = shared.span(step, "compute", rows).map_err(failed)?;
                 shared.span(step, "write and hand on", || emit(shared, step, &mut writer, output, children, None))?;
             }
             Message::Stored(batch) => open(shared, step, &mut writer)?.write(0, &batch)?,
@@ -120,7 +121,7 @@ pub(super) fn work<'a>(
 }
 
 /// Hands to each child what was made for it.
-fn hand_on(children: &[Sender<Message>], outcomes: Vec<Vec<Outcomes>>) -> Result<(), Failure> {
+fn hand_on(children: &[Sender<Message>], outcomes: Vec<Vec<Made>>) -> Result<(), Failure> {
     let mut children = children.iter().zip(outcomes);
     children.try_for_each(|(child, own)| child.send(Message::Reduced(vec![own])).map_err(|_| Failure::Stopped))
 }

@@ -156,7 +156,7 @@ impl Reader<'_> {
             for ((index, job), done) in unit.jobs.iter().zip(done) {
                 rows.append(self.take(*index, job, done)?);
             }
-            all.extend(reduced.transpose()?);
+            all.extend(reduced);
         }
         in_place.send(all)?;
         if rows.is_empty() { Ok(()) } else { self.store(campaign, &rows, &rows.to_batch()) }
@@ -285,8 +285,8 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Notes what came of a job. A file with another content on record stops the run before anything that was made of it
-    /// counts.
+    /// Notes what came of a job. A file with another content on record stops the run before anything that was made of
+    /// it counts.
     fn take(&mut self, index: usize, job: &Job<'_>, done: Done) -> Result<Records, StageError> {
         let campaign = job.capture.campaign;
         self.rejections.extend(done.rejection.transpose()?);

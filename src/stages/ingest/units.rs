@@ -11,7 +11,6 @@ use super::survey::{Capture, Item, Job, Surveyed};
 use crate::campaign::Exposure;
 use crate::formats::Description;
 use crate::stages::source::{InPlace, Reduced};
-use crate::stages::stage::StageError;
 use crate::tables::traces::Records;
 
 /// Items of captures that follow one another.
@@ -27,7 +26,7 @@ pub struct Read {
     /// Item by item. Where the unit was reduced, the first one has the rows of all, without codes.
     pub done: Vec<Done>,
     /// What was made of its captures.
-    pub reduced: Option<Result<Reduced, StageError>>,
+    pub reduced: Option<Reduced>,
 }
 
 /// The files of an exposure: they are opened once for all items that have the same.
@@ -114,5 +113,63 @@ impl<'a> Unit<'a> {
         let mut done: Vec<(usize, Done)> = done.into_iter().flatten().collect();
         done.sort_by_key(|(at, _)| *at);
         done.into_iter().map(|(_, done)| done).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::campaign::Role;
+    use crate::campaign::keys::RecordKeys;
+
+    fn capture(files: &[&str]) -> Capture {
+        let keys: RecordKeys =
+            serde_json::from_value(serde_json::json!({ "segments": [] })).expect("all else is absent");
+        let keys = Arc::new(keys);
+        let item = |file: &&str| {
+            let exposure = Exposure {
+                rule: 0,
+                file: file.into(),
+                role: Role::Scene,
+                run: None,
+                sensor: None,
+                lit: None,
+                seen: None,
+                shot: None,
+                range: None,
+                channel: None,
+                segment: None,
+                reference: None,
+                companions: Vec::new(),
+                keys: Arc::clone(&keys),
+            };
+            Item { exposure, records: None, bytes: 1 }
+        };
+        let items = files.iter().map(item).collect();
+        Capture { campaign: 0, role: Role::Scene, run: None, sensor: "s".to_owned(), lit: 1, seen: 1, items }
+    }
+
+    /// Captures of one file each, of two files, of a file that two share, and of two files the second of which the next
+    /// one shares: a unit is a run of captures that no file ties to others, and is whole if none was cut off.
+    #[test]
+    fn units_are_captures_that_no_file_ties_to_others() {
+        let captures = [&["a"][..], &["b", "c"], &["d"], &["d"], &["e", "f"], &["f"], &["g", "h"]].map(capture);
+        let items: Vec<(usize, &Item)> = captures
+            .iter()
+            .enumerate()
+            .flat_map(|(n, capture)| capture.items.iter().map(move |item| (n, item)))
+            .collect();
+        let seen = |items: &[(usize, &Item)]| -> Vec<(Vec<usize>, bool)> {
+            let of_unit = |unit: &Unit<'_>| (unit.jobs.iter().map(|(n, _)| *n).collect(), unit.is_whole);
+            of(&captures, items).iter().map(of_unit).collect()
+        };
+        let whole = |captures: &[usize]| (captures.to_vec(), true);
+        let cut = |captures: &[usize]| (captures.to_vec(), false);
+        let middle = [whole(&[2, 3]), whole(&[4, 4, 5])];
+        assert_eq!(seen(&items), [&[whole(&[0]), whole(&[1, 1])], &middle[..], &[whole(&[6, 6])]].concat());
+        assert_eq!(seen(&items[2..9]), [&[cut(&[1])], &middle[..], &[cut(&[6])]].concat());
+        assert!(seen(&[]).is_empty());
     }
 }

@@ -2,6 +2,7 @@
 
 use arrow_array::{ArrayRef, BinaryViewArray};
 use arrow_schema::Schema;
+use arrow_select::concat::concat_batches;
 
 use super::*;
 use crate::tables::{Name, Profile, Row};
