@@ -47,7 +47,7 @@ fn scan(wall: &[Point], lit: Lit, surface: impl Fn(&Point) -> Point, sd_m: f64, 
 
 /// Points of the scan; the law of first light changes no length.
 fn points(scan: &Scan) -> Vec<SurfacePoint> {
-    surface_points(scan, |place, _, _| Some(scan.places[place].returns[0]), &Cancel::never())
+    surface_points(scan, |place, laws, _| vec![Some(scan.places[place].returns[0]); laws.len()], &Cancel::never())
 }
 
 /// Share of the points whose ellipsoid of 95 % holds the truth, and the median of their distances from it.
