@@ -103,7 +103,7 @@ pub struct Bins<'a> {
     pub noise: Noise,
 }
 
-impl<'a> Bins<'a> {
+impl Bins<'_> {
     /// Those about a rise that [`Background::before`] and windows take.
     #[must_use]
     pub fn about(&self, rise_ps: f64, sigma_ps: f64) -> Self {

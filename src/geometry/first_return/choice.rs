@@ -25,7 +25,7 @@ pub struct Choice<'a> {
     pub samples: &'a [Sample],
 }
 
-impl<'a> Choice<'a> {
+impl Choice<'_> {
     /// Share of the flat faces, where both explain a place. `square_of_faces` is their chi-square of their own
     /// members.
     pub fn share(bent: &Chosen<Field>, flat: &Chosen<Flat>, square_of_faces: f64, samples: [&[Sample]; 2]) -> f64 {

@@ -1,7 +1,7 @@
 //! What fields of lengths about a place have in common: how they are fitted, and how sure they are.
 
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use nalgebra::{Const, Dyn, MatrixView, OMatrix, SMatrix, SVector, Vector3};
 
@@ -81,8 +81,12 @@ pub struct Fitted {
 }
 
 impl Fitted {
+    /// One for all fields that need none: covariances take more memory than the fields.
     pub fn none() -> Arc<Self> {
-        Arc::new(Self { noise: Covariance::zeros(), law: Covariance::zeros(), square: 0.0, count: 0 })
+        static NONE: LazyLock<Arc<Fitted>> = LazyLock::new(|| {
+            Arc::new(Fitted { noise: Covariance::zeros(), law: Covariance::zeros(), square: 0.0, count: 0 })
+        });
+        Arc::clone(&NONE)
     }
 
     /// Chi-square over its degrees of freedom.

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::field::Field;
 use super::flat::{Flat, Hint};
-use super::local::{Likeliest, Local, Sample};
+use super::local::{Fitted, Likeliest, Local, Sample};
 use super::way::Way;
 use super::{Lit, Scan};
 use crate::Point;
@@ -300,7 +300,8 @@ impl<F: Local, S: Fn(&[u32]) -> Option<Likeliest<F>>, A: Fn(&F, &[u32]) -> bool>
         let at = windows.len().saturating_sub(1 + usize::from(refused.is_some()));
         let larger = windows.get(at + 1).map(|window| &window.field).or(refused.as_ref());
         let smaller = at.checked_sub(1).map(|smaller| &windows[smaller].field);
-        let others = smaller.into_iter().chain(larger).map(|other| (BIAS, other.clone())).collect();
+        let reads = |other: &F| (BIAS, other.clone().with(Fitted::none()));
+        let others = smaller.into_iter().chain(larger).map(reads).collect();
         let Window { field, mut members, .. } = windows.swap_remove(at);
         if sizes[at] > FITTED {
             members = self.followers(&field, &self.nearest(side, sizes[at]));
