@@ -203,9 +203,7 @@ impl<'a> Window<'a> {
         let step = rises.first();
         let mut window = Self::new(bins, rises, background, start_ps)?;
         for _ in 0..TURNS {
-            // The fit of the window before is next to that of this one.
-            let start = window.start.unwrap_or_else(|| window.start(step));
-            let unknowns = window.fit(step, start, None)?.unknowns;
+            let unknowns = window.fit(step, window.start(step), None)?.unknowns;
             window.start = Some(unknowns);
             if (unknowns[0] - window.start_ps).abs() < bins.dt_ps {
                 break;
@@ -224,10 +222,7 @@ impl<'a> Window<'a> {
     /// Those of a step, an edge and a corner.
     #[must_use]
     pub fn first_returns(&self) -> [Option<FirstReturn>; 3] {
-        let [step, edge, corner] = self.rises.limits();
-        let of_step = self.start.unwrap_or_else(|| self.start(step));
-        let step = self.timed(step, of_step, None).map(|step| step.first);
-        [step, self.likeliest(edge), self.likeliest(corner)]
+        self.rises.limits().map(|law| self.likeliest(law))
     }
 
     /// Of each of these surfaces, one step of Fisher scoring from a time that others tell, all else being fitted there:
@@ -331,7 +326,7 @@ impl<'a> Window<'a> {
     }
 
     /// The likeliest unknowns from a start; with a time that is given, the likeliest others. Where the time is free, a
-    /// start from another law may lead astray.
+    /// start from another law or window may lead astray.
     fn fit(&self, law: &Rise, mut start: Unknowns, given_ps: Option<f64>) -> Option<Likelihood> {
         start[0] = given_ps.unwrap_or(start[0]);
         let mut at = self.law_at(law, start[0]);
