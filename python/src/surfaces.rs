@@ -6,7 +6,7 @@ use periscope::geometry::Point;
 use periscope::geometry::first_return::{self, Face, Kind, Lit, Place, Return, Scan, wall_normal};
 use periscope::geometry::height_field::{self, height_fields};
 use periscope::geometry::shapes::{self, Sighting};
-use periscope::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Noise, Rises, STEP, Window};
+use periscope::signal::edge::{self, Background, Bins, FirstReturn, Noise, Rises, Window};
 use periscope::units::{path_m, time_ps as flight_ps};
 use pyo3::prelude::*;
 use rayon::prelude::*;
