@@ -6,7 +6,7 @@ use periscope::geometry::Point;
 use periscope::geometry::first_return::{self, Face, Kind, Lit, Place, Return, Scan, wall_normal};
 use periscope::geometry::height_field::{self, height_fields};
 use periscope::geometry::shapes::{self, Sighting};
-use periscope::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Noise, Rises, STEP, Window};
+use periscope::signal::edge::{self, Background, Bins, FirstReturn, Noise, Rises, Window};
 use periscope::units::{path_m, time_ps as flight_ps};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -154,7 +154,7 @@ fn times(rows: Vec<(f64, Vec<f64>, Noise)>, rises: Rises, dt_ps: f64, threshold:
     let first = |(row, start_ps): &(usize, f64)| {
         cancel.check();
         let window = Window::about(&bins(*row), &rises, background, *start_ps)?;
-        let [step, edge, corner] = [STEP, EDGE, CORNER].map(|ends| window.first_return(&[edge::Face::quarter(ends)]));
+        let [step, edge, corner] = window.first_returns();
         Some((*row, *start_ps, [step?, edge?, corner?]))
     };
     let timed: Vec<(usize, f64, [FirstReturn; LAWS])> = starts.par_iter().filter_map(first).collect();
@@ -297,10 +297,12 @@ pub fn surface_points(
     let result = interruptible(py, |cancel| {
         let window = |one| Record::window(one, timed);
         let windows: Vec<Option<Window<'_>>> = timed.records.iter().map(window).collect();
-        let again = |place: usize, faces: &[Face], length_m: f64| {
-            let faces: Vec<edge::Face> =
-                faces.iter().map(|face| edge::Face { weight: face.weight, ends: face.ends }).collect();
-            windows[place].as_ref()?.first_return_near(&faces, flight_ps(length_m, index)).as_ref().map(returned)
+        let again = |place: usize, laws: &[Vec<Face>], length_m: f64| {
+            let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
+            let laws: Vec<Vec<edge::Face>> = laws.iter().map(|faces| faces.iter().map(face).collect()).collect();
+            let Some(window) = &windows[place] else { return vec![None; laws.len()] };
+            let first = window.first_returns_near(&laws, flight_ps(length_m, index));
+            first.iter().map(|first| first.as_ref().map(returned)).collect()
         };
         first_return::surface_points(&scan, again, cancel)
     })?;

@@ -66,6 +66,8 @@ use windows::{Chosen, Reading, Wall};
 /// Least number of places of the wall.
 pub const LEAST: usize = 16;
 
+/// Of so many nearest places, itself with them, one tells curvatures.
+const CURVED: usize = 3;
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
@@ -171,15 +173,15 @@ pub struct SurfacePoint {
 }
 
 /// The point of the surface that each place of the wall sees first, where its neighbours tell it. Places are fewer
-/// than points where neighbours do not agree on one field. `timed` is the first return of a place that sees these
-/// faces, near a length.
+/// than points where neighbours do not agree on one field. `timed` are the first returns of a place that
+/// sees some faces or others, near a length; `None` where there is none.
 ///
 /// # Panics
 /// If a standard deviation is not positive, or `sigma_m` is not, or pairs are not as many as places.
 #[must_use]
 pub fn surface_points(
     scan: &Scan,
-    timed: impl Fn(usize, &[Face], f64) -> Option<Return> + Sync,
+    timed: impl Fn(usize, &[Vec<Face>], f64) -> Vec<Option<Return>> + Sync,
     cancel: &Cancel,
 ) -> Vec<SurfacePoint> {
     assert!(scan.sigma_m > 0.0, "a response of some width");
@@ -223,25 +225,46 @@ struct Rounds<'a> {
     samples: Vec<Sample>,
     faces: Vec<Option<Chosen<Flat>>>,
     flats: Vec<Option<Chosen<Flat>>>,
+    /// Shares of these faces, where there are bent fields too.
+    shares: Vec<f64>,
 }
 
 impl<'a> Rounds<'a> {
     fn new(scan: &'a Scan, cancel: &Cancel) -> Self {
         let wall = Wall::new(scan, cancel);
         let likely = laws::by_likelihood(scan, &wall.near);
-        let fields =
-            windows::fields(scan, &laws::samples(scan, &likely), &wall, &windows::SIZES[..windows::FEW], cancel);
-        let shares = laws::by_curvature(&wall.near, &likely, &fields);
+        // Curvatures of neighbours are nearly the same: some do.
+        let some = windows::apart(&wall.near, CURVED);
+        let few = (&windows::SIZES[..windows::FEW], &some[..]);
+        let fields = windows::fields(scan, &laws::samples(scan, &likely), &wall, few, cancel);
+        let shares = laws::by_curvature(&wall.near, &likely, &fields, &some);
         let first = laws::samples(scan, &shares);
-        let fields = windows::fields(scan, &first, &wall, &windows::SIZES, cancel);
+        let all = vec![true; some.len()];
+        let fields = windows::fields(scan, &first, &wall, (&windows::SIZES, &all), cancel);
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
-        let flats = fields.iter().map(|_| None).collect();
-        Self { scan, wall, first, fields, samples, faces: Vec::new(), flats }
+        let (flats, shares) = (fields.iter().map(|_| None).collect(), vec![0.0; fields.len()]);
+        Self { scan, wall, first, fields, samples, faces: Vec::new(), flats, shares }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
-        Choice::new(self.fields[place].as_ref(), self.flats[place].as_ref(), [&self.first, &self.samples])
+        let (bent, flat) = (self.fields[place].as_ref(), self.flats[place].as_ref());
+        Choice { bent, flat, share: self.shares[place], samples: &self.samples }
+    }
+
+    /// Shares of the flat faces.
+    fn shares_of_faces(&self) -> Vec<f64> {
+        let samples: [&[Sample]; 2] = [&self.first, &self.samples];
+        let square = |flat: &Option<Chosen<Flat>>| {
+            flat.as_ref().map_or(0.0, |flat| choice::square(&flat.field, &self.samples, &flat.members))
+        };
+        let squares: Vec<f64> = self.faces.par_iter().map(square).collect();
+        let of_place = |(bent, flat): (&Option<Chosen<Field>>, &Option<Chosen<Flat>>)| match (bent, flat) {
+            (Some(bent), Some(flat)) => Choice::share(bent, flat, squares[flat.centre as usize], samples),
+            (None, Some(_)) => 1.0,
+            (_, None) => 0.0,
+        };
+        self.fields.par_iter().zip(&self.flats).map(of_place).collect()
     }
 
     fn points(&self) -> Vec<Option<SurfacePoint>> {
@@ -255,6 +278,7 @@ impl<'a> Rounds<'a> {
         let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
         self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
+        self.shares = self.shares_of_faces();
     }
 
     /// Standard deviation of the error of the faces' law, as residuals of all faces show it.
@@ -269,7 +293,7 @@ impl<'a> Rounds<'a> {
     }
 
     /// Lengths under the laws of the faces.
-    fn time_again(&mut self, timed: &(impl Fn(usize, &[Face], f64) -> Option<Return> + Sync)) {
+    fn time_again(&mut self, timed: &(impl Fn(usize, &[Vec<Face>], f64) -> Vec<Option<Return>> + Sync)) {
         let law_m = self.law_m();
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
         let again = |place: usize| laws::again(self.scan, place, &choices[place], law_m, timed);

@@ -53,11 +53,14 @@ impl Cells {
         (0..self.points.len()).into_par_iter().map(of_point).collect()
     }
 
-    /// The nearest points of one, itself first; of some that are equally near those with smaller numbers.
+    /// The nearest points of one, itself first; of some that are equally near, to seven digits of the square of the
+    /// distance, those with smaller numbers.
     pub fn nearest(&self, n: usize, most: usize) -> Vec<u32> {
         let here = self.points[n];
         let [column, row] = self.cell(&here);
-        let mut list: Vec<(f64, u32)> = Vec::with_capacity(2 * most);
+        // In order of distance, then of number: as bits, floats that are not negative are ordered as they are.
+        let key = |gap_m2: f64, n: u32| u64::from((gap_m2 as f32).to_bits()) << 32 | u64::from(n);
+        let mut list: Vec<u64> = Vec::with_capacity(2 * most);
         let rings = self.counts[0].max(self.counts[1]);
         for ring in 0..rings {
             let rows = row.saturating_sub(ring)..(row + ring + 1).min(self.counts[1]);
@@ -65,23 +68,22 @@ impl Cells {
                 let is_end = at.abs_diff(row) == ring;
                 let columns = column.saturating_sub(ring)..(column + ring + 1).min(self.counts[0]);
                 for cell in columns.filter(|other| is_end || other.abs_diff(column) == ring) {
-                    let gap_m2 = |other: &u32| ((self.points[*other as usize] - here).norm_squared(), *other);
-                    list.extend(self.members[at * self.counts[0] + cell].iter().map(gap_m2));
+                    let of = |other: &u32| key((self.points[*other as usize] - here).norm_squared(), *other);
+                    list.extend(self.members[at * self.counts[0] + cell].iter().map(of));
                 }
             }
             // All points that are so near lie in these rings.
-            let reach_m2 = (ring as f64 * self.side_m).powi(2);
-            if list.len() >= most && list.iter().filter(|one| one.0 < reach_m2).count() >= most {
+            let reach = key((ring as f64 * self.side_m).powi(2), 0);
+            if list.len() >= most && list.iter().filter(|one| **one < reach).count() >= most {
                 break;
             }
         }
-        let nearer = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
         if list.len() > most {
-            list.select_nth_unstable_by(most, nearer);
+            list.select_nth_unstable(most);
             list.truncate(most);
         }
-        list.sort_unstable_by(nearer);
-        list.into_iter().map(|one| one.1).collect()
+        list.sort_unstable();
+        list.into_iter().map(|one| one as u32).collect()
     }
 }
 

@@ -26,12 +26,15 @@ use crate::cancel::{Cancel, Cancelled};
 use crate::stages::Node;
 use crate::stages::operator::{Outcomes, OutputBatches};
 use crate::stages::source::Credit;
-use crate::stages::stage::{BesideTables, Rejection, StageError};
-use crate::store::{Digest, PartRecord, StoreError};
+use crate::stages::stage::{Batches, BesideTables, Rejection, StageError, StoredTable};
+use crate::store::{Digest, PartBatches, PartRecord, StoreError};
 
 /// Batches of parts that are joined, and the mean size in bytes up to which they are.
 const TOGETHER: usize = 256;
 const SMALL: usize = 1 << 20;
+/// Bytes of a stored table beyond which it is not held whole for a step, and how many of its rows are read at once.
+const LARGE: u64 = 8 << 20;
+const AT_ONCE: usize = 256;
 
 /// What goes down a channel.
 enum Message {
@@ -250,7 +253,7 @@ pub fn run(
 /// The whole tables that a step needs, from the shelf, and the token that ends it. One that is larger than the step
 /// takes is left out.
 pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Result<BesideTables, RunError> {
-    let mut tables = BTreeMap::new();
+    let (mut tables, mut stored_tables) = (BTreeMap::new(), BTreeMap::new());
     for (name, heading) in &plan.spec.steps[step].with {
         let (input, table) = plan.spec.table(heading).expect("the pipeline was checked");
         let parts = || plan.tables[input].present.iter().flatten();
@@ -258,6 +261,11 @@ pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Re
         if let Node::Operator(operator) = &plan.spec.steps[step].node
             && operator.rows_max().is_some_and(|(limited, most)| limited == name && rows > most)
         {
+            continue;
+        }
+        if parts().filter_map(|part| part.files.get(&table)).map(|file| file.bytes).sum::<u64>() > LARGE {
+            let readers = parts().map(|part| plan.shelf.reader(&plan.tables[input].id, part, &table, AT_ONCE));
+            stored_tables.insert(name.clone(), read_when_asked(readers.collect()));
             continue;
         }
         let (mut batches, mut small) = (Vec::new(), Vec::new());
@@ -270,7 +278,27 @@ pub(super) fn tables_beside(plan: &Plan<'_>, step: usize, cancel: &Cancel) -> Re
         batches.extend(join(small));
         tables.insert(name.clone(), batches);
     }
-    Ok(BesideTables { tables, cancel: cancel.clone() })
+    Ok(BesideTables { tables, stored: stored_tables, cancel: cancel.clone() })
+}
+
+/// A table whose parts are read one after the other, each time that its rows are asked for.
+fn read_when_asked<R>(readers: Vec<R>) -> StoredTable
+where
+    R: Fn() -> Result<PartBatches, StoreError> + Send + Sync + 'static,
+{
+    let (count, readers) = (readers.len(), Arc::new(readers));
+    let refused = |error: StoreError| StageError::Refused(error.to_string());
+    let batches = move || -> Batches {
+        let readers = Arc::clone(&readers);
+        let of_part = move |part: usize| -> Batches {
+            match readers[part]() {
+                Ok(batches) => Box::new(batches.map(move |batch| batch.map_err(refused))),
+                Err(error) => Box::new(std::iter::once(Err(refused(error)))),
+            }
+        };
+        Box::new((0..count).flat_map(of_part))
+    };
+    StoredTable(Arc::new(batches))
 }
 
 /// Joins batches of small parts: a batch of a single row holds many times the memory of the row.

@@ -29,6 +29,8 @@ const FWHM: f64 = 2.354_820_045_030_949_3;
 /// Window before and behind the first return, in standard deviations of the response.
 const BEFORE: f64 = 6.0;
 const BEHIND: f64 = 3.0;
+/// Behind a rise no window ends later: its first return is looked for from there, a few times.
+const AFTER: f64 = BEHIND + TURNS as f64 * FARTHEST;
 /// Decline of light from a ring, as a power of its time: the inverse fourth power of the distance and cosines at the
 /// surface and at the wall, less the growth of the ring. It is the slope over the height before there is light.
 const DECLINE: f64 = 6.0;
@@ -101,6 +103,17 @@ pub struct Bins<'a> {
     pub noise: Noise,
 }
 
+impl Bins<'_> {
+    /// Those about a rise that [`Background::before`] and windows take.
+    #[must_use]
+    pub fn about(&self, rise_ps: f64, sigma_ps: f64) -> Self {
+        let place = |ps: f64| ((ps - self.first_ps) / self.dt_ps).max(0.0) as usize;
+        let to = (place(rise_ps + AFTER * sigma_ps) + 1).min(self.values.len());
+        let from = place(rise_ps - background::FROM * sigma_ps).saturating_sub(1).min(to);
+        Self { first_ps: self.first_ps + from as f64 * self.dt_ps, values: &self.values[from..to], ..*self }
+    }
+}
+
 /// A first return under one law.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FirstReturn {
@@ -169,6 +182,12 @@ pub struct Window<'a> {
 /// First return, background, height, slope.
 type Unknowns = [f64; 4];
 
+/// A first return, and the unknowns that it was fitted with.
+struct Timed {
+    first: FirstReturn,
+    unknowns: Unknowns,
+}
+
 /// Logarithm of the likelihood at some unknowns, its gradient, and the lower half of the information.
 struct Likelihood {
     unknowns: Unknowns,
@@ -181,10 +200,10 @@ impl<'a> Window<'a> {
     /// About the first return near a time; `None` where there is none.
     #[must_use]
     pub fn about(bins: &Bins<'a>, rises: &'a Rises, background: Background, start_ps: f64) -> Option<Self> {
-        let step = rises.law(&[Face::quarter(STEP)]);
+        let step = rises.first();
         let mut window = Self::new(bins, rises, background, start_ps)?;
         for _ in 0..TURNS {
-            let unknowns = window.fit(&step, None)?.unknowns;
+            let unknowns = window.fit(step, window.start(step), None)?.unknowns;
             window.start = Some(unknowns);
             if (unknowns[0] - window.start_ps).abs() < bins.dt_ps {
                 break;
@@ -197,18 +216,39 @@ impl<'a> Window<'a> {
     /// The likeliest first return of such a surface; `None` where the bins do not determine it.
     #[must_use]
     pub fn first_return(&self, faces: &[Face]) -> Option<FirstReturn> {
-        self.timed(&self.rises.law(faces), None)
+        self.likeliest(&self.rises.law(faces, f64::INFINITY))
     }
 
-    /// One step of Fisher scoring from a time that others tell, all else being fitted there: less biased than the
-    /// likeliest time where counts are few, and joined with others the likeliest again. The likeliest where the step
-    /// is wider than half the response.
+    /// Those of a step, an edge and a corner.
     #[must_use]
-    pub fn first_return_near(&self, faces: &[Face], time_ps: f64) -> Option<FirstReturn> {
-        let law = self.rises.law(faces);
-        let near = Self::new(&self.all, self.rises, self.background, time_ps)
-            .and_then(|window| Self { start: self.start, ..window }.timed(&law, Some(time_ps)));
-        near.filter(|near| (near.time_ps - time_ps).abs() < self.rises.sigma_ps()).or_else(|| self.timed(&law, None))
+    pub fn first_returns(&self) -> [Option<FirstReturn>; 3] {
+        self.rises.limits().map(|law| self.likeliest(law))
+    }
+
+    /// Of each of these surfaces, one step of Fisher scoring from a time that others tell, all else being fitted there:
+    /// less biased than the likeliest time where counts are few, and joined with others the likeliest again. The
+    /// likeliest where the step is wider than half the response.
+    #[must_use]
+    pub fn first_returns_near(&self, laws: &[Vec<Face>], time_ps: f64) -> Vec<Option<FirstReturn>> {
+        let near = Self::new(&self.all, self.rises, self.background, time_ps);
+        let mut start = self.start;
+        let mut of = |faces: &Vec<Face>| {
+            let window = near.as_ref()?;
+            let law = self.rises.law(faces, window.end_ps() - time_ps);
+            let first = window.timed(&law, start.unwrap_or_else(|| window.start(&law)), Some(time_ps))?;
+            // Laws differ little: what one was fitted with is next to what others are.
+            start = Some(first.unknowns);
+            Some(first.first).filter(|first| (first.time_ps - time_ps).abs() < self.rises.sigma_ps())
+        };
+        laws.iter().map(|faces| of(faces).or_else(|| self.first_return(faces))).collect()
+    }
+
+    fn likeliest(&self, law: &Rise) -> Option<FirstReturn> {
+        Some(self.timed(law, self.start(law), None)?.first)
+    }
+
+    fn end_ps(&self) -> f64 {
+        self.bins.first_ps + self.bins.values.len() as f64 * self.bins.dt_ps
     }
 
     fn new(bins: &Bins<'a>, rises: &'a Rises, background: Background, start_ps: f64) -> Option<Self> {
@@ -285,10 +325,9 @@ impl<'a> Window<'a> {
         [self.start_ps, background, height.max(least) / risen.max(1e-3), 0.0]
     }
 
-    /// The likeliest unknowns; with a time that is given, the likeliest others.
-    fn fit(&self, law: &Rise, given_ps: Option<f64>) -> Option<Likelihood> {
-        // Where the time is free, a start from another law may lead astray.
-        let mut start = given_ps.and(self.start).unwrap_or_else(|| self.start(law));
+    /// The likeliest unknowns from a start; with a time that is given, the likeliest others. Where the time is free, a
+    /// start from another law or window may lead astray.
+    fn fit(&self, law: &Rise, mut start: Unknowns, given_ps: Option<f64>) -> Option<Likelihood> {
         start[0] = given_ps.unwrap_or(start[0]);
         let mut at = self.law_at(law, start[0]);
         let mut best = self.likelihood(&at, start);
@@ -326,21 +365,22 @@ impl<'a> Window<'a> {
     }
 
     /// The first return of the likeliest unknowns; with a time that is given, one step from it.
-    fn timed(&self, law: &Rise, given_ps: Option<f64>) -> Option<FirstReturn> {
-        let best = self.fit(law, given_ps)?;
+    fn timed(&self, law: &Rise, start: Unknowns, given_ps: Option<f64>) -> Option<Timed> {
+        let best = self.fit(law, start, given_ps)?;
         let root = root(best.information)?;
         let variance = solve(&root, [1.0, 0.0, 0.0, 0.0])[0];
         let [time_ps, _, height, _] = best.unknowns;
         // What the prior of the slope moves, counts against it.
         let by_slope_ps = solve(&root, [1.0, 0.0, 0.0, 0.0])[3] / (SLOPE_SD * SLOPE_SD * height);
         let step_ps = given_ps.map_or(0.0, |_| solve(&root, best.gradient)[0]);
-        Some(FirstReturn {
+        let first = FirstReturn {
             time_ps: time_ps + step_ps,
             sd_ps: variance.sqrt(),
             height,
             decline_ps: (by_slope_ps * DECLINE_SD).abs(),
             log_likelihood: best.logarithm,
-        })
+        };
+        Some(Timed { first, unknowns: best.unknowns })
     }
 }
 

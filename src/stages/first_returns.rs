@@ -90,7 +90,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 7;
+    const VERSION: u32 = 8;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -159,15 +159,13 @@ impl FirstReturns {
             ));
         }
         let of_scan = |scan: Group<'_, '_>| {
-            let records: Vec<Record<'_, '_>> =
-                scan.members.iter().filter_map(|histogram| Record::new(histogram, &times)).collect();
-            let lit = scan.lit(records.iter().map(|record| record.histogram));
-            let bins: Vec<(Point, Bins<'_>)> =
-                records.iter().map(|record| (scan.place(record.histogram), record.bins())).collect();
+            let members: Vec<&Histogram<'_>> = scan.members.iter().copied().filter(|one| has_noise(one)).collect();
+            let lit = scan.lit(members.iter().copied());
+            let record = |n: usize| Record::new(scan.place(members[n]), members[n], &times);
             let threshold_sigma = self.threshold_sigma.get();
             let timing = Timing { lit: &lit, inwards, medium, rises: &rises, threshold_sigma };
-            let points = timing.points(&bins, &context.cancel);
-            points.iter().map(|(n, point)| row(point, records[*n].histogram.pair())).collect::<Vec<_>>()
+            let points = timing.points(members.len(), record, &context.cancel);
+            points.iter().map(|(n, point)| row(point, members[*n].pair())).collect::<Vec<_>>()
         };
         Ok(groups.into_iter().flat_map(of_scan).collect())
     }
@@ -185,29 +183,38 @@ impl FirstReturns {
 }
 
 /// The light of a histogram behind the gate.
-struct Record<'h, 'a> {
-    histogram: &'h Histogram<'a>,
+struct Record {
+    place: Point,
     first_ps: f64,
+    dt_ps: f64,
     values: Vec<f64>,
     noise: Noise,
 }
 
-impl<'h, 'a> Record<'h, 'a> {
-    /// `None` where levels have no noise.
-    fn new(histogram: &'h Histogram<'a>, times: &Times) -> Option<Self> {
+impl Record {
+    fn new(place: Point, histogram: &Histogram<'_>, times: &Times) -> Self {
         let (first_ps, values) = histogram.behind(times);
         let noise = match histogram.noise() {
             None => Noise::Counts,
-            Some((variance, _)) if variance > 0.0 => Noise::Gauss { sd: variance.sqrt() },
-            Some(_) => return None,
+            Some((variance, _)) => Noise::Gauss { sd: variance.sqrt() },
         };
-        Some(Self { histogram, first_ps, values, noise })
+        Self { place, first_ps, dt_ps: histogram.dt_ps(), values, noise }
+    }
+}
+
+impl timing::Histogram for Record {
+    fn seen(&self) -> Point {
+        self.place
     }
 
     fn bins(&self) -> Bins<'_> {
-        let dt_ps = self.histogram.dt_ps();
-        Bins { first_ps: self.first_ps, dt_ps, values: &self.values, noise: self.noise }
+        Bins { first_ps: self.first_ps, dt_ps: self.dt_ps, values: &self.values, noise: self.noise }
     }
+}
+
+/// Whether levels vary; counts always do.
+fn has_noise(histogram: &Histogram<'_>) -> bool {
+    histogram.noise().is_none_or(|(variance, _)| variance > 0.0)
 }
 
 /// First time and step at which a response is sampled.

@@ -5,7 +5,9 @@
 //! has no streamed input is a source (`source.rs`).
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::ops::Range;
+use std::sync::Arc;
 
 use arrow_array::RecordBatch;
 use arrow_schema::SchemaRef;
@@ -81,13 +83,15 @@ pub struct Beside {
 pub struct BesideTables {
     /// Finished tables, by their names in `with`.
     pub tables: BTreeMap<String, Vec<RecordBatch>>,
+    /// Those of them that are too large to be held: they are read when a stage asks for them.
+    pub stored: BTreeMap<String, StoredTable>,
     /// Ends the stage: a context keeps a clone and hands it to the kernels.
     pub cancel: Cancel,
 }
 
 impl<const N: usize> From<[(String, Vec<RecordBatch>); N]> for BesideTables {
     fn from(tables: [(String, Vec<RecordBatch>); N]) -> Self {
-        Self { tables: tables.into(), cancel: Cancel::never() }
+        Self { tables: tables.into(), ..Self::default() }
     }
 }
 
@@ -95,9 +99,9 @@ impl BesideTables {
     /// Rows of one of them; `None` where the pipeline gives none.
     ///
     /// # Errors
-    /// When the table has other columns.
-    pub fn rows<R: Row>(&self, name: &str) -> Result<Option<Vec<R>>, SchemaError> {
-        if !self.tables.contains_key(name) {
+    /// When the table has other columns, or cannot be read.
+    pub fn rows<R: Row>(&self, name: &str) -> Result<Option<Vec<R>>, StageError> {
+        if !self.tables.contains_key(name) && !self.stored.contains_key(name) {
             return Ok(None);
         }
         let mut rows = Vec::new();
@@ -108,8 +112,23 @@ impl BesideTables {
     }
 
     /// Rows of one of them batch by batch, for tables whose rows take much memory; none where the pipeline gives none.
-    pub fn batches<R: Row>(&self, name: &str) -> impl Iterator<Item = Result<Vec<R>, SchemaError>> {
-        self.tables.get(name).into_iter().flatten().map(R::rows)
+    pub fn batches<R: Row>(&self, name: &str) -> impl Iterator<Item = Result<Vec<R>, StageError>> {
+        let held = self.tables.get(name).into_iter().flatten().map(|batch| Ok(R::rows(batch)?));
+        let stored = self.stored.get(name).into_iter().flat_map(|table| (table.0)()).map(|batch| Ok(R::rows(&batch?)?));
+        held.chain(stored)
+    }
+}
+
+/// Batches of a stored table, one after the other.
+pub type Batches = Box<dyn Iterator<Item = Result<RecordBatch, StageError>>>;
+
+/// A finished table that is read when its batches are asked for.
+#[derive(Clone)]
+pub struct StoredTable(pub Arc<dyn Fn() -> Batches + Send + Sync>);
+
+impl fmt::Debug for StoredTable {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("StoredTable")
     }
 }
 

@@ -29,5 +29,5 @@ pub use failure::StoreError;
 pub use lineage::Digest;
 pub use parquet::{FileRecord, TableWriter, uncompressed, vacant};
 pub use shards::{Gathered, PieceRecord};
-pub use shelf::{PartRecord, Shelf, StageId, TableRecord};
+pub use shelf::{PartBatches, PartRecord, Shelf, StageId, TableRecord};
 pub use sweep::Left;

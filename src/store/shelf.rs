@@ -272,7 +272,22 @@ impl Shelf {
     ) -> Result<impl Iterator<Item = Result<RecordBatch, StoreError>> + use<>, StoreError> {
         file::read_recorded(&self.part_file(stage, &part.lineage, table), &part.files[table], rows)
     }
+
+    /// What reads the same batches, as often as it is called.
+    pub fn reader(
+        &self,
+        stage: &StageId,
+        part: &PartRecord,
+        table: &str,
+        rows: usize,
+    ) -> impl Fn() -> Result<PartBatches, StoreError> + Send + Sync + use<> {
+        let (path, record) = (self.part_file(stage, &part.lineage, table), part.files[table].clone());
+        move || Ok(Box::new(file::read_recorded(&path, &record, rows)?))
+    }
 }
+
+/// Batches of one table of one part.
+pub type PartBatches = Box<dyn Iterator<Item = Result<RecordBatch, StoreError>>>;
 
 /// Writes the tables of one part. Nothing counts before [`PartWriter::commit`].
 pub struct PartWriter<'a> {

@@ -22,23 +22,19 @@ pub struct Choice<'a> {
     pub bent: Option<&'a Chosen<Field>>,
     pub flat: Option<&'a Chosen<Flat>>,
     pub share: f64,
-    samples: &'a [Sample],
+    pub samples: &'a [Sample],
 }
 
-impl<'a> Choice<'a> {
-    pub fn new(bent: Option<&'a Chosen<Field>>, flat: Option<&'a Chosen<Flat>>, samples: [&'a [Sample]; 2]) -> Self {
-        let share = match (bent, flat) {
-            (Some(bent), Some(flat)) => {
-                // The larger window tells: a wrong model explains a small one too.
-                let is_bent = bent.members.len() > flat.members.len();
-                let members = if is_bent { &bent.members } else { &flat.members };
-                let more = square(&flat.field, samples[1], members) - square(&bent.field, samples[0], members);
-                1.0 / (1.0 + (0.5 * TEMPER * more).min(500.0).exp())
-            }
-            (None, Some(_)) => 1.0,
-            (_, None) => 0.0,
-        };
-        Self { bent, flat, share, samples: samples[1] }
+impl Choice<'_> {
+    /// Share of the flat faces, where both explain a place. `square_of_faces` is their chi-square of their own
+    /// members.
+    pub fn share(bent: &Chosen<Field>, flat: &Chosen<Flat>, square_of_faces: f64, samples: [&[Sample]; 2]) -> f64 {
+        // The larger window tells: a wrong model explains a small one too.
+        let is_bent = bent.members.len() > flat.members.len();
+        let members = if is_bent { &bent.members } else { &flat.members };
+        let of_flat = if is_bent { square(&flat.field, samples[1], members) } else { square_of_faces };
+        let more = of_flat - square(&bent.field, samples[0], members);
+        1.0 / (1.0 + (0.5 * TEMPER * more).min(500.0).exp())
     }
 
     /// The point of the surface; `None` where nothing explains the place.
@@ -113,7 +109,7 @@ impl<'a> Choice<'a> {
 }
 
 /// Chi-square with the errors of the law.
-fn square(field: &impl Local, samples: &[Sample], members: &[u32]) -> f64 {
+pub fn square(field: &impl Local, samples: &[Sample], members: &[u32]) -> f64 {
     let of_one = |n: &u32| {
         let sample = &samples[*n as usize];
         (sample.length_m - field.length_m(&sample.at)).powi(2) / (sample.sd_m.powi(2) + sample.law_m.powi(2))

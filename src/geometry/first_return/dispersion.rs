@@ -11,7 +11,7 @@
 //!
 //! Source: the method of moments for components of variance, Henderson, Biometrics 9:226, 1953.
 
-use super::local::{Covariance, Local, Sample, Unknowns, WAVE_VARIANCES, WAVES};
+use super::local::{Covariance, Local, Sample, Target, UNKNOWNS, Unknowns, WAVE_VARIANCES, WAVES};
 
 /// Sums over pairs of neighbours: products of residuals, weighted, less those of noise, and their mean where the error
 /// is 1 m.
@@ -46,18 +46,19 @@ impl Dispersion {
         members.iter().enumerate().for_each(|(k, n)| place[*n as usize] = Some(k));
         let pair = |(k, n): (usize, &u32)| Some([k, place[near[*n as usize][1] as usize]?]);
         let pairs: Vec<[usize; 2]> = members.iter().enumerate().filter_map(pair).collect();
-        let inverse = field.normal_equations(samples, members).information.cholesky()?.inverse();
+        let targets: Vec<Target> = members.iter().map(|n| Target::of(&samples[*n as usize])).collect();
+        let inverse = field.normal_equations(&targets).information.cholesky()?.inverse();
         let weighted = |[a, b]: &[usize; 2]| lines[*a].weight * lines[*b].weight;
         let summed = |value: &dyn Fn(usize) -> f64| -> f64 {
             pairs.iter().map(|pair| weighted(pair) * value(pair[0]) * value(pair[1])).sum()
         };
-        let mut mean = 0.0;
-        let waves: Vec<[f64; WAVES]> = field.waves(samples, members, zone_m).collect();
-        for (n, variance) in WAVE_VARIANCES.into_iter().enumerate() {
-            let taken = |(line, waves): (&Line, &[f64; WAVES])| line.slopes * (line.weight * waves[n]);
-            let taken = inverse * lines.iter().zip(&waves).map(taken).sum::<Unknowns>();
-            mean += variance * summed(&|k| waves[k][n] - lines[k].slopes.dot(&taken));
-        }
+        let mut waves = field.waves(samples, members, zone_m);
+        leave_residuals(&mut waves, &lines, &inverse);
+        let of_waves = |[a, b]: &[usize; 2]| -> f64 {
+            let both = waves[*a].iter().zip(&waves[*b]).zip(WAVE_VARIANCES);
+            both.map(|((one, other), variance)| variance * one * other).sum()
+        };
+        let mean = pairs.iter().map(|pair| weighted(pair) * of_waves(pair)).sum();
         let noise = |line: &Line| line.slopes * line.slopes.transpose() * (line.weight.powi(2) * line.noise_m2);
         let spread = inverse * lines.iter().map(noise).sum::<Covariance>() * inverse;
         let of_noise = |[a, b]: &[usize; 2]| {
@@ -85,5 +86,22 @@ impl Dispersion {
     pub fn law_m(&self, most_m: f64) -> f64 {
         let by_noise_m = (self.sd / self.mean.max(1e-300)).sqrt().min(most_m);
         self.likeliest_m().hypot(by_noise_m)
+    }
+}
+
+/// What a fit leaves of waves: `M` times each.
+fn leave_residuals(waves: &mut [[f64; WAVES]], lines: &[Line], inverse: &Covariance) {
+    let mut taken = [[0.0; WAVES]; UNKNOWNS];
+    for (line, waves) in lines.iter().zip(&*waves) {
+        for (taken, slope) in taken.iter_mut().zip(line.slopes.iter()) {
+            let share = slope * line.weight;
+            taken.iter_mut().zip(waves).for_each(|(taken, wave)| *taken += share * wave);
+        }
+    }
+    for (line, waves) in lines.iter().zip(waves) {
+        let shares = inverse * line.slopes;
+        for (taken, share) in taken.iter().zip(shares.iter()) {
+            waves.iter_mut().zip(taken).for_each(|(wave, taken)| *wave -= share * taken);
+        }
     }
 }

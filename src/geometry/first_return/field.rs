@@ -157,8 +157,10 @@ impl Local for Field {
         let [xx, xy, yy] = [self.bend[(0, 0)], self.bend[(0, 1)], self.bend[(1, 1)]];
         let grow = 1.0 + self.round * along;
         let turns = [x * grow - along * (xx * x + xy * y), y * grow - along * (xy * x + yy * y)];
-        let slopes = Unknowns::from([root, turns[0], turns[1], 0.5 * x * x, x * y, 0.5 * y * y, 0.0, 0.0]) / root;
-        (self.length_m + 2.0 * q / (1.0 + root), slopes)
+        let share = 1.0 / root;
+        let bends = [0.5 * share * x * x, share * x * y, 0.5 * share * y * y];
+        let slopes = [1.0, share * turns[0], share * turns[1], bends[0], bends[1], bends[2], 0.0, 0.0];
+        (self.length_m + 2.0 * q / (1.0 + root), Unknowns::from(slopes))
     }
 
     fn moved(&self, step: &Unknowns) -> Self {

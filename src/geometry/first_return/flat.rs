@@ -219,7 +219,8 @@ impl Local for Flat {
         let nearest = self.nearest_along(place);
         let way: [f64; 3] = std::array::from_fn(|k| place[k] - nearest[k]);
         let length_m = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt().max(1e-9);
-        let shifts = way.map(|way| way / length_m);
+        let share = 1.0 / length_m;
+        let shifts = way.map(|way| way * share);
         let wider = [0, 1].map(|k| if place[k] < -self.widths_m[k] { -shifts[k] } else { 0.0 });
         let arm: [f64; 3] = std::array::from_fn(|k| nearest[k] - pivot[k]);
         let turn = |a: usize, b: usize| arm[a] * shifts[b] - arm[b] * shifts[a];

@@ -8,7 +8,6 @@ use rayon::prelude::*;
 
 use super::choice::Choice;
 use super::field::Field;
-use super::flat::Flat;
 use super::local::{Local, Sample};
 use super::windows::Chosen;
 use super::{Face, Place, Return, Scan};
@@ -63,8 +62,13 @@ pub fn by_likelihood(scan: &Scan, near: &[Vec<u32>]) -> Vec<Shares> {
     scan.places.par_iter().zip(near).map(of_place).collect()
 }
 
-/// Of each place, by the curvatures of the fields about it and these shares.
-pub fn by_curvature(near: &[Vec<u32>], likely: &[Shares], fields: &[Option<Chosen<Field>>]) -> Vec<Shares> {
+/// Of each place, by the curvatures of the fields about it that were asked for, and these shares.
+pub fn by_curvature(
+    near: &[Vec<u32>],
+    likely: &[Shares],
+    fields: &[Option<Chosen<Field>>],
+    is_asked: &[bool],
+) -> Vec<Shares> {
     let of_field = |chosen: &Option<Chosen<Field>>| {
         let Some(chosen) = chosen else { return [0.0; 3] };
         let [first, second] = chosen.field.bends(&chosen.way).map(|[bend, sd]| {
@@ -79,7 +83,9 @@ pub fn by_curvature(near: &[Vec<u32>], likely: &[Shares], fields: &[Option<Chose
     };
     let own: Vec<Shares> = fields.iter().map(of_field).collect();
     let of_place = |(near, likely): (&Vec<u32>, &Shares)| {
-        let sum = |k: usize| near.iter().take(CURVED).map(|n| own[*n as usize][k]).sum::<f64>() + NONE;
+        let near = &near[..CURVED.min(near.len())];
+        let all = near.len() as f64 / near.iter().filter(|n| is_asked[**n as usize]).count().max(1) as f64;
+        let sum = |k: usize| all * near.iter().map(|n| own[*n as usize][k]).sum::<f64>() + NONE;
         normalised(std::array::from_fn(|k| sum(k) * (likely[k] + BEYOND).powf(BESIDE)))
     };
     near.iter().zip(likely).map(of_place).collect()
@@ -123,29 +129,34 @@ pub fn again(
     place: usize,
     choice: &Choice<'_>,
     common_m: f64,
-    timed: impl Fn(usize, &[Face], f64) -> Option<Return>,
+    timed: impl Fn(usize, &[Vec<Face>], f64) -> Vec<Option<Return>>,
 ) -> Option<Again> {
     let flat = &choice.flat?.field;
     let length_m = flat.length_m(&scan.places[place].seen);
     let zone_m = scan.zone_m(length_m);
     let ends = flat.beyond(zone_m);
     let beyond = ends.map(|end| end.likeliest());
-    let of = |flat: &Flat, beyond: [f64; 5]| timed(place, &flat.faces(beyond), length_m / scan.share());
-    let own = of(flat, beyond)?;
-    let other = flat.other().and_then(|other| of(&other, beyond)).unwrap_or(own);
+    // Laws that differ in nothing are timed once.
+    let mut laws = vec![flat.faces(beyond)];
+    let mut number = |faces: Vec<Face>| {
+        laws.iter().position(|law| *law == faces).unwrap_or_else(|| {
+            laws.push(faces);
+            laws.len() - 1
+        })
+    };
+    let other = flat.other().map_or(0, |other| number(other.faces(beyond)));
+    let moved: [Vec<usize>; 5] = std::array::from_fn(|k| {
+        let is_seen = |place: &f64| place.max(beyond[k]) >= -UNSEEN;
+        let with = |place: f64| std::array::from_fn(|end| if end == k { place } else { beyond[end] });
+        ends[k].otherwise().filter(is_seen).map(|place| number(flat.faces(with(place)))).collect()
+    });
+    let returns = timed(place, &laws, length_m / scan.share());
+    let own = returns[0]?;
+    let other = returns[other].unwrap_or(own);
     let error_m = (common_m / scan.share()).max(scan.sigma_m * FACES_ERROR);
-    let mut law_m2 = error_m.powi(2) + own.common_m.powi(2);
-    for (k, end) in ends.iter().enumerate() {
-        let off_m2 = |other: f64| {
-            if other.max(beyond[k]) < -UNSEEN {
-                return 0.0;
-            }
-            let mut moved = beyond;
-            moved[k] = other;
-            of(flat, moved).map_or(0.0, |moved| (moved.length_m - own.length_m).powi(2))
-        };
-        law_m2 += end.otherwise().map(off_m2).fold(0.0, f64::max);
-    }
+    let off_m2 = |law: &usize| returns[*law].map_or(0.0, |moved| (moved.length_m - own.length_m).powi(2));
+    let by_ends_m2: f64 = moved.iter().map(|of_end| of_end.iter().map(off_m2).fold(0.0, f64::max)).sum();
+    let law_m2 = error_m.powi(2) + own.common_m.powi(2) + by_ends_m2;
     Some(Again { returns: if flat.is_block { [other, own] } else { [own, other] }, law_m2 })
 }
 

@@ -45,9 +45,15 @@ fn scan(wall: &[Point], lit: Lit, surface: impl Fn(&Point) -> Point, sd_m: f64, 
     Scan { lit, inwards: Vector3::z(), sigma_m: SIGMA_M, places }
 }
 
+/// A bent field about a place.
+fn fitted(place: usize, samples: &[Sample], members: &[u32], zone_m: f64) -> Option<Field> {
+    let start = Field::new(&samples[place], -Vector3::z());
+    start.likeliest(samples, members)?.with_spread(samples, members, zone_m)
+}
+
 /// Points of the scan; the law of first light changes no length.
 fn points(scan: &Scan) -> Vec<SurfacePoint> {
-    surface_points(scan, |place, _, _| Some(scan.places[place].returns[0]), &Cancel::never())
+    surface_points(scan, |place, laws, _| vec![Some(scan.places[place].returns[0]); laws.len()], &Cancel::never())
 }
 
 /// Share of the points whose ellipsoid of 95 % holds the truth, and the median of their distances from it.
@@ -124,7 +130,7 @@ fn the_error_of_the_law_spreads_as_a_sum_over_all_pairs() {
         |at: &Point| Sample { at: *at, length_m: (at - sphere(at)).norm(), sd_m: 1e-3, law_m: 2e-3, weighted_m: 1e-3 };
     let samples: Vec<Sample> = places.iter().map(sample).collect();
     let members: Vec<u32> = (0..36).collect();
-    let field = Field::new(&samples[14], -Vector3::z()).fit(&samples, &members, zone_m).unwrap();
+    let field = fitted(14, &samples, &members, zone_m).unwrap();
     let inverse = field.fitted().noise;
     let mut naive = Covariance::zeros();
     for a in &samples {
@@ -160,7 +166,7 @@ fn covariances_are_those_of_repeated_noise() {
             }
         };
         let samples: Vec<Sample> = places.iter().map(&mut sample).collect();
-        let field = Field::new(&samples[14], -Vector3::z()).fit(&samples, &members, 0.1).unwrap();
+        let field = fitted(14, &samples, &members, 0.1).unwrap();
         let off = field.reading(&Way::Back).0 - sphere(&places[14]);
         sum += off * off.transpose() / 400.0;
         let [slopes, _] = field.reading_slopes(&Way::Back);
@@ -229,7 +235,7 @@ fn residuals_show_how_large_a_smooth_error_is() {
                 Sample { at: *seen, length_m, sd_m, law_m, weighted_m: sd_m.hypot(law_m) }
             };
             let samples: Vec<Sample> = wall.iter().map(sample).collect();
-            let field = Field::new(&samples[66], -Vector3::z()).fit(&samples, &members, zone_m).expect("a plane");
+            let field = fitted(66, &samples, &members, zone_m).expect("a plane");
             Dispersion::of(&field, &samples, &members, &near, zone_m).expect("an information")
         };
         let shown = (0..40).map(|_| of_scan()).fold(Dispersion::default(), Dispersion::and);

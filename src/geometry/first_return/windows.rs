@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::field::Field;
 use super::flat::{Flat, Hint};
-use super::local::{Local, Sample};
+use super::local::{Fitted, Likeliest, Local, Sample};
 use super::way::Way;
 use super::{Lit, Scan};
 use crate::Point;
@@ -77,6 +77,8 @@ impl Wall {
 
 /// A field, its members, and what other windows say otherwise of its point and its normal.
 pub struct Chosen<F> {
+    /// The place about which it was fitted.
+    pub centre: u32,
     pub field: F,
     pub members: Arc<[u32]>,
     pub way: Way,
@@ -84,21 +86,21 @@ pub struct Chosen<F> {
     others: Vec<(f64, F)>,
 }
 
-/// The bent field of each place; `None` where its neighbours do not follow one.
+/// The bent field of each place that is asked for; `None` where its neighbours do not follow one.
 pub fn fields(
     scan: &Scan,
     samples: &[Sample],
     wall: &Wall,
-    sizes: &[usize],
+    (sizes, is_asked): (&[usize], &[bool]),
     cancel: &Cancel,
 ) -> Vec<Option<Chosen<Field>>> {
     let most = if matches!(scan.lit, Lit::Apart(_)) { APART } else { sizes.len() };
     let sizes = &sizes[..most.min(sizes.len())];
     let of_place = |n: usize| {
         cancel.check();
-        let way = wall.ways[n]?;
+        let way = wall.ways[n].filter(|_| is_asked[n])?;
         let zone_m = scan.zone_m(samples[n].length_m * 0.5 / scan.share());
-        let start = |members: &[u32]| Field::new(&samples[n], -scan.inwards).fit(samples, members, zone_m);
+        let start = |members: &[u32]| Field::new(&samples[n], -scan.inwards).likeliest(samples, members);
         let accepts = |field: &Field, _: &[u32]| field.has_point(&way);
         Growth { scan, samples, wall, more: OnceCell::new(), place: n, way, zone_m, sizes, start, accepts }.chosen()
     };
@@ -128,8 +130,8 @@ pub fn flats(
                 return None;
             }
             let starts = Flat::starts(samples[n].at, &hints, samples, members, zone_m);
-            let flats = starts.iter().filter_map(|flat| flat.fit(samples, members, zone_m));
-            flats.min_by(|a, b| a.fitted().square.total_cmp(&b.fitted().square))
+            let flats = starts.iter().filter_map(|flat| flat.likeliest(samples, members));
+            flats.min_by(|a, b| a.square().total_cmp(&b.square()))
         };
         let accepts = |flat: &Flat, members: &[u32]| {
             let step = members.len().div_ceil(COMPARED);
@@ -148,7 +150,7 @@ pub fn flats(
 }
 
 /// Places of which none is among the nearest of another.
-fn apart(near: &[Vec<u32>], nearest: usize) -> Vec<bool> {
+pub fn apart(near: &[Vec<u32>], nearest: usize) -> Vec<bool> {
     let mut is_centre = vec![false; near.len()];
     for (n, near) in near.iter().enumerate() {
         is_centre[n] = !near[1..nearest.min(near.len())].iter().any(|other| is_centre[*other as usize]);
@@ -171,7 +173,7 @@ struct Growth<'a, S, A> {
     accepts: A,
 }
 
-impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_, S, A> {
+impl<F: Local, S: Fn(&[u32]) -> Option<Likeliest<F>>, A: Fn(&F, &[u32]) -> bool> Growth<'_, S, A> {
     fn at(&self, n: u32) -> &Sample {
         &self.samples[n as usize]
     }
@@ -195,7 +197,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         of(self.more.get_or_init(|| self.wall.cells.nearest(self.place, MOST)))
     }
 
-    fn begin(&self, side: usize) -> Option<(F, Vec<u32>)> {
+    fn begin(&self, side: usize) -> Option<(Likeliest<F>, Vec<u32>)> {
         let members = self.nearest(side, self.sizes[0]);
         if members.len() < self.sizes[0] {
             return None;
@@ -205,17 +207,18 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
 
     /// The smallest window, all around or on the side where one field explains it best.
     fn smallest(&self) -> Option<(usize, F, Vec<u32>)> {
-        let score = |field: &F| field.fitted().score();
         let mut best = self.begin(0).map(|(field, members)| (0, field, members));
-        if best.as_ref().is_none_or(|(_, field, _)| score(field) > TRY_SIDES) {
+        if best.as_ref().is_none_or(|(_, field, _)| field.score() > TRY_SIDES) {
             for side in 1..=SIDES {
                 let Some((field, members)) = self.begin(side) else { continue };
-                if best.as_ref().is_none_or(|(_, best, _)| score(&field) < score(best) - BETTER) {
+                if best.as_ref().is_none_or(|(_, best, _)| field.score() < best.score() - BETTER) {
                     best = Some((side, field, members));
                 }
             }
         }
-        best.filter(|(_, field, members)| score(field) <= NO_FIELD && (self.accepts)(field, members))
+        let (side, field, members) = best.filter(|(_, field, _)| field.score() <= NO_FIELD)?;
+        let field = field.with_spread(self.samples, &members, self.zone_m)?;
+        (self.accepts)(&field, &members).then_some((side, field, members))
     }
 
     /// Those of a larger window that follow the field, and do not lie among others that do not.
@@ -258,13 +261,14 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         let fitted = |start: F| {
             let members = self.followers(&start, window);
             let is_enough = members.len() as f64 >= ENOUGH * window.len() as f64;
-            let field = is_enough.then(|| start.fit(self.samples, &members, self.zone_m))??;
-            let unexplained = field.fitted().square + FOLLOWS * (window.len() - members.len()) as f64;
+            let field = is_enough.then(|| start.likeliest(self.samples, &members))??;
+            let unexplained = field.square() + FOLLOWS * (window.len() - members.len()) as f64;
             Some((unexplained, field, members))
         };
         let starts = [Some(last.clone()), last.other().map(|other| other.with(last.fitted().clone()))];
         let fields = starts.into_iter().flatten().filter_map(fitted);
-        fields.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, field, members)| (field, members))
+        let (_, field, members) = fields.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((field.with_spread(self.samples, &members, self.zone_m)?, members))
     }
 
     fn chosen(&self) -> Option<Chosen<F>> {
@@ -296,12 +300,13 @@ impl<F: Local, S: Fn(&[u32]) -> Option<F>, A: Fn(&F, &[u32]) -> bool> Growth<'_,
         let at = windows.len().saturating_sub(1 + usize::from(refused.is_some()));
         let larger = windows.get(at + 1).map(|window| &window.field).or(refused.as_ref());
         let smaller = at.checked_sub(1).map(|smaller| &windows[smaller].field);
-        let others = smaller.into_iter().chain(larger).map(|other| (BIAS, other.clone())).collect();
+        let reads = |other: &F| (BIAS, other.clone().with(Fitted::none()));
+        let others = smaller.into_iter().chain(larger).map(reads).collect();
         let Window { field, mut members, .. } = windows.swap_remove(at);
         if sizes[at] > FITTED {
             members = self.followers(&field, &self.nearest(side, sizes[at]));
         }
-        Some(Chosen { field, members: members.into(), way: self.way, others })
+        Some(Chosen { centre: self.place as u32, field, members: members.into(), way: self.way, others })
     }
 }
 
@@ -373,7 +378,7 @@ impl Chosen<Flat> {
     /// The same faces as another place sees them.
     fn seen_from(&self, at: Point) -> Self {
         let others = self.others.iter().map(|(share, other)| (*share, other.seen_from(at))).collect();
-        Self { field: self.field.seen_from(at), members: self.members.clone(), way: self.way, others }
+        Self { field: self.field.seen_from(at), members: self.members.clone(), others, ..*self }
     }
 }
 

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use super::{Bins, Noise};
 
 /// Bins of a histogram that enter, before its first return, in standard deviations of the response.
-const FROM: f64 = 30.0;
+pub(super) const FROM: f64 = 30.0;
 const TO: f64 = 4.0;
 /// Times of decline that are tried, over the standard deviation of the response, and the ratio of neighbours.
 const SHORTEST: f64 = 3.0;

@@ -48,6 +48,8 @@ const LEAST: f64 = -4.8;
 const FARTHEST: f64 = 2.4;
 const STEP_OF_ENDS: f64 = 0.3;
 const COUNT: usize = 25;
+/// Weight of a law beside it that counts for nothing.
+const LEAST_WEIGHT: f64 = 1e-8;
 /// Parts of a step of time in which the share of a ring is summed.
 const PARTS: usize = 8;
 
@@ -60,6 +62,8 @@ pub struct Rises {
     sigma_ps: f64,
     count: usize,
     columns: Vec<[f64; 2]>,
+    /// Of a step, an edge and a corner.
+    limits: Vec<Rise>,
 }
 
 /// One law by time.
@@ -110,7 +114,19 @@ impl Rises {
         };
         let pairs = (0..COUNT).flat_map(|first| (first..COUNT).map(move |second| (first, second)));
         let columns = pairs.flat_map(|(first, second)| columns(first, second)).collect();
-        Self { first_ps, step_ps, sigma_ps, count, columns }
+        let mut rises = Self { first_ps, step_ps, sigma_ps, count, columns, limits: Vec::new() };
+        rises.limits = [STEP, EDGE, CORNER].map(|ends| rises.law(&[Face::quarter(ends)], reach_ps)).to_vec();
+        rises
+    }
+
+    /// Laws of a step, an edge and a corner.
+    pub(super) fn limits(&self) -> [&Rise; 3] {
+        [0, 1, 2].map(|law| &self.limits[law])
+    }
+
+    /// That of a step.
+    pub(super) fn first(&self) -> &Rise {
+        &self.limits[0]
     }
 
     /// Standard deviation of a Gaussian as wide as the response.
@@ -119,10 +135,11 @@ impl Rises {
         self.sigma_ps
     }
 
-    /// The law of faces whose light begins at one time.
+    /// The law of faces whose light begins at one time, as far as so long behind it.
     #[must_use]
-    pub fn law(&self, faces: &[Face]) -> Rise {
-        let mut columns = vec![[0.0; 2]; self.count];
+    pub fn law(&self, faces: &[Face], reach_ps: f64) -> Rise {
+        let count = ((reach_ps - self.first_ps) / self.step_ps).ceil().max(1.0) as usize;
+        let mut columns = vec![[0.0; 2]; count.saturating_add(2).min(self.count)];
         faces.iter().for_each(|face| self.add(*face, &mut columns));
         Rise { first_ps: self.first_ps, step_ps: self.step_ps, columns }
     }
@@ -141,7 +158,7 @@ impl Rises {
             (1.0, [-far_first, -far_second]),
         ] {
             let later = nearest(ends) - begin;
-            if later * self.sigma_ps < self.step_ps * self.count as f64 {
+            if later * self.sigma_ps < self.step_ps * columns.len() as f64 {
                 self.add_quarter(sign * weight, ends, later, columns);
             }
         }
@@ -157,14 +174,19 @@ impl Rises {
         for (first, second) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let share = |(_, fract): (usize, f64), next: usize| if next == 1 { fract } else { 1.0 - fract };
             let weight = weight * share(places[0], first) * share(places[1], second);
+            // At the ends of the table.
+            if weight.abs() < LEAST_WEIGHT {
+                continue;
+            }
             let [a, b] = [places[0].0 + first, places[1].0 + second];
             let from = self.count * pair(a.min(b), a.max(b));
             let own = &self.columns[from..from + self.count];
-            for (n, column) in columns.iter_mut().enumerate().skip(whole) {
-                let [now, before] = [own[n - whole], if n > whole { own[n - whole - 1] } else { [0.0; 2] }];
+            let mut before = [0.0; 2];
+            for (column, now) in columns[whole..].iter_mut().zip(own) {
                 let light = [0, 1].map(|k| now[k] + part * (before[k] - now[k]));
                 column[0] += weight * light[0];
                 column[1] += weight * (light[1] + later * light[0]);
+                before = *now;
             }
         }
     }

@@ -119,7 +119,7 @@ fn the_law_is_a_sum_over_the_surface() {
     let beyond_a_corner = [[-0.6, 2.0], [-1.1, 3.0]];
     let at_the_far_end = [[1.5, -0.4], [4.0, 4.0]];
     for ends in [narrow, beyond_an_edge, beyond_a_corner, at_the_far_end] {
-        let law = rises.law(&[Face { weight: 1.0, ends }]);
+        let law = rises.law(&[Face { weight: 1.0, ends }], f64::INFINITY);
         for (time, sum) in times.iter().zip(sum_over_squares(ends, &times)) {
             let [light, ..] = law.at(time * SIGMA_PS);
             // Bins of a third of the width, and distances of the table, blur a little.

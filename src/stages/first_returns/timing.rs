@@ -7,7 +7,7 @@ use crate::cancel::Cancel;
 use crate::geometry::Point;
 use crate::geometry::first_return::{Face, Lit, Place, Return, Scan, SurfacePoint, surface_points};
 use crate::priors::campaign_fields::Medium;
-use crate::signal::edge::{self, Background, Bins, CORNER, EDGE, FirstReturn, Rises, STEP, Window};
+use crate::signal::edge::{self, Background, Bins, FirstReturn, Noise, Rises, Window};
 
 /// What the histograms of a scan have in common.
 #[derive(Clone, Copy, Debug)]
@@ -24,28 +24,70 @@ pub struct Timing<'a> {
     pub threshold_sigma: f64,
 }
 
+/// A histogram of a scan.
+pub trait Histogram {
+    /// The seen point, or the place midway between a pair that moves together.
+    fn seen(&self) -> Point;
+    /// Its bins.
+    fn bins(&self) -> Bins<'_>;
+}
+
+impl Histogram for (Point, Bins<'_>) {
+    fn seen(&self) -> Point {
+        self.0
+    }
+
+    fn bins(&self) -> Bins<'_> {
+        self.1
+    }
+}
+
+/// What is kept of a histogram: the bins about its first rise.
+struct Kept {
+    number: usize,
+    seen: Point,
+    first_ps: f64,
+    dt_ps: f64,
+    values: Vec<f64>,
+    noise: Noise,
+    rise_ps: f64,
+}
+
+impl Kept {
+    fn bins(&self) -> Bins<'_> {
+        Bins { first_ps: self.first_ps, dt_ps: self.dt_ps, values: &self.values, noise: self.noise }
+    }
+}
+
 impl Timing<'_> {
-    /// Points of the surface that histograms show, each with the number of its histogram. A histogram is a seen point,
-    /// or the place midway between a pair that moves together, and its bins.
+    /// Points of the surface that histograms show, each with the number of its histogram. Each histogram
+    /// is asked for once, and of its bins those about its first rise are kept.
     #[must_use]
-    pub fn points(&self, histograms: &[(Point, Bins<'_>)], cancel: &Cancel) -> Vec<(usize, SurfacePoint)> {
+    pub fn points<H: Histogram>(
+        &self,
+        count: usize,
+        histogram: impl Fn(usize) -> H + Sync,
+        cancel: &Cancel,
+    ) -> Vec<(usize, SurfacePoint)> {
         let rises = self.rises;
-        let starts: Vec<(usize, f64)> = histograms
-            .par_iter()
-            .enumerate()
-            .filter_map(|(n, (_, bins))| Some((n, edge::first_rise(bins, rises.sigma_ps(), self.threshold_sigma)?)))
-            .collect();
-        let before: Vec<(Bins<'_>, f64)> = starts.iter().map(|(n, start_ps)| (histograms[*n].1, *start_ps)).collect();
+        let kept = |number: usize| {
+            cancel.check();
+            let histogram = histogram(number);
+            let (seen, all) = (histogram.seen(), histogram.bins());
+            let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma)?;
+            let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
+            Some(Kept { number, seen, first_ps, dt_ps, values: values.to_vec(), noise, rise_ps })
+        };
+        let kept: Vec<Kept> = (0..count).into_par_iter().filter_map(kept).collect();
+        let before: Vec<(Bins<'_>, f64)> = kept.iter().map(|one| (one.bins(), one.rise_ps)).collect();
         let background = Background::before(&before, rises.sigma_ps());
-        let timed: Vec<(usize, Window<'_>, Place)> = starts
+        let timed: Vec<(usize, Window<'_>, Place)> = kept
             .par_iter()
-            .filter_map(|(n, start_ps)| {
+            .filter_map(|one| {
                 cancel.check();
-                let (seen, bins) = &histograms[*n];
-                let window = Window::about(bins, rises, background, *start_ps)?;
-                let [step, edge, corner] =
-                    [STEP, EDGE, CORNER].map(|ends| self.returned(window.first_return(&[edge::Face::quarter(ends)])));
-                Some((*n, window, Place { seen: *seen, returns: [step?, edge?, corner?] }))
+                let window = Window::about(&one.bins(), rises, background, one.rise_ps)?;
+                let [step, edge, corner] = window.first_returns().map(|first| self.returned(first));
+                Some((one.number, window, Place { seen: one.seen, returns: [step?, edge?, corner?] }))
             })
             .collect();
         let places = timed.iter().map(|(.., place)| *place).collect();
@@ -55,10 +97,11 @@ impl Timing<'_> {
             other => other.clone(),
         };
         let scan = Scan { lit, inwards: self.inwards, sigma_m, places };
-        let again = |place: usize, faces: &[Face], length_m: f64| {
+        let again = |place: usize, laws: &[Vec<Face>], length_m: f64| {
             let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
-            let faces: Vec<edge::Face> = faces.iter().map(face).collect();
-            self.returned(timed[place].1.first_return_near(&faces, self.medium.time_ps(length_m)))
+            let laws: Vec<Vec<edge::Face>> = laws.iter().map(|faces| faces.iter().map(face).collect()).collect();
+            let first = timed[place].1.first_returns_near(&laws, self.medium.time_ps(length_m));
+            first.into_iter().map(|first| self.returned(first)).collect()
         };
         surface_points(&scan, again, cancel).into_iter().map(|point| (timed[point.place].0, point)).collect()
     }
