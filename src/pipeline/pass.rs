@@ -50,6 +50,8 @@ enum Message {
     End,
 }
 
+type Senders = BTreeMap<usize, Vec<Sender<Message>>>;
+
 /// What a step made of some captures where these were read.
 type Made = Result<Outcomes, Failure>;
 
@@ -204,22 +206,7 @@ pub fn run(
         beside.insert(step, tables_beside(plan, step, &settings.cancel)?);
     }
     thread::scope(|scope| {
-        let mut senders: BTreeMap<usize, Vec<Sender<Message>>> = BTreeMap::new();
-        let mut receivers: BTreeMap<usize, Receiver<Message>> = BTreeMap::new();
-        for &step in &pass.steps {
-            let input = if step == pass.root {
-                usize::MAX
-            } else {
-                plan.from(step).expect("a step below the root has an input")
-            };
-            let (sender, receiver) = bounded(settings.channel_batches);
-            // Above the root's own writer stands the reader.
-            senders
-                .entry(if input == pass.root && !pass.steps.contains(&pass.root) { usize::MAX } else { input })
-                .or_default()
-                .push(sender);
-            receivers.insert(step, receiver);
-        }
+        let (mut senders, mut receivers) = channels(plan, pass, settings.channel_batches);
         let shared = &shared;
         let mut reducers = Vec::new();
         for &step in &pass.steps {
@@ -248,6 +235,21 @@ pub fn run(
         Some(Failure::Early(ended)) => Ok(ended),
         Some(Failure::Stopped) | None => Ok(Ended::Whole),
     }
+}
+
+/// The channels of a pass: senders by who sends (`usize::MAX` for who reads the root), receivers by step.
+fn channels(plan: &Plan<'_>, pass: &Pass, batches: usize) -> (Senders, BTreeMap<usize, Receiver<Message>>) {
+    let (mut senders, mut receivers) = (Senders::new(), BTreeMap::new());
+    for &step in &pass.steps {
+        let input =
+            if step == pass.root { usize::MAX } else { plan.from(step).expect("a step below the root has an input") };
+        let (sender, receiver) = bounded(batches);
+        // Above the root's own writer stands the reader.
+        let is_read = input == pass.root && !pass.steps.contains(&pass.root);
+        senders.entry(if is_read { usize::MAX } else { input }).or_default().push(sender);
+        receivers.insert(step, receiver);
+    }
+    (senders, receivers)
 }
 
 /// The whole tables that a step needs, from the shelf, and the token that ends it. One that is larger than the step

@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError};
 use arrow_array::RecordBatch;
 use crossbeam_channel::{Receiver, Sender};
 
-use super::{Ended, Failure, Joined, Made, Message, Shared, send};
+use super::{Ended, Failure, Joined, Made, Message, Plan, Shared, send};
 use crate::stages::Node;
 use crate::stages::operator::{OutputBatches, Reducer, Running, Started};
 use crate::stages::source::Credit;
@@ -58,11 +58,7 @@ pub(super) fn work<'a>(
     let (plan, step) = (shared.plan, *step);
     let streams = plan.streams(step);
     let failed = |error| shared.failed(step, error);
-    let Started { mut running, reducer } = match (joined, &plan.spec.steps[step].node) {
-        (Some(joined), _) => Started { running: Box::new(Given(joined.output.clone())), reducer: None },
-        (_, Node::Source(_)) => Started { running: Box::new(Through), reducer: None },
-        (_, Node::Operator(operator)) => operator.start(plan.campaigns, &tables).map_err(failed)?,
-    };
+    let Started { mut running, reducer } = start(plan, step, &tables, joined).map_err(failed)?;
     if let Some(announce) = announce {
         announce.send(reducer.clone()).map_err(|_| Failure::Stopped)?;
     }
@@ -118,6 +114,21 @@ pub(super) fn work<'a>(
         shared.span(step, "end of a part", || end_part(shared, step, &mut writer, 0, lineage, children))?;
     }
     send(children, || Message::End)
+}
+
+/// Gets a step ready for rows.
+fn start<'a>(
+    plan: &Plan<'a>,
+    step: usize,
+    tables: &BesideTables,
+    joined: Option<&Joined>,
+) -> Result<Started<'a>, StageError> {
+    let plain = |running| Started { running, reducer: None };
+    match (joined, &plan.spec.steps[step].node) {
+        (Some(joined), _) => Ok(plain(Box::new(Given(joined.output.clone())))),
+        (_, Node::Source(_)) => Ok(plain(Box::new(Through))),
+        (_, Node::Operator(operator)) => operator.start(plan.campaigns, tables),
+    }
 }
 
 /// Hands to each child what was made for it.
