@@ -232,7 +232,10 @@ fn progress_as_json_says_what_every_pass_reads_and_makes() {
     let text = err(&run);
     let events: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let keys = |event: &Value| event.as_object().unwrap().keys().map(String::as_str).collect::<Vec<_>>().join(" ");
-    let (began, ended): (Vec<&Value>, Vec<&Value>) = events.iter().partition(|event| event["event"] == "pass");
+    // A pass that takes long, as on a busy machine, also says how far it is.
+    let on_its_way = |event: &&Value| event["event"] != "read";
+    let (began, ended): (Vec<&Value>, Vec<&Value>) =
+        events.iter().filter(on_its_way).partition(|event| event["event"] == "pass");
     assert!(began.iter().all(|pass| keys(pass) == "event of tables unit wanted whole"), "{text}");
     assert!(ended.iter().all(|done| keys(done) == "event left_s of read rejected seconds tables unit"), "{text}");
     // Of the scene every byte is read once, of its onsets every row; each pass that begins ends, with all read.
