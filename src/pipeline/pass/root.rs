@@ -22,7 +22,9 @@ pub(super) fn read<'a>(
         let reducer = reducer.recv().map_err(|_| Failure::Stopped)?;
         Ok(reducer.map(|reducer| (step, reducer)))
     };
-    let reducers: Option<Vec<_>> = reducers.into_iter().map(announced).collect::<Result<_, Failure>>()?;
+    // All are heard before any is judged: a step that nobody hears has to stop.
+    let reducers: Vec<Option<_>> = reducers.into_iter().map(announced).collect::<Result<_, Failure>>()?;
+    let reducers: Option<Vec<_>> = reducers.into_iter().collect();
     // Rows that are to be stored or joined have to come by.
     let reducers = reducers.filter(|_| !plan.stands_in(pass.root) && pass.joined.is_none());
     let in_place = reducers.map(|reducers| InThreads { shared, children, reducers });
