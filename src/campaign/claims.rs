@@ -97,26 +97,10 @@ fn clashing<T: Copy>(part: Option<T>) -> Vec<Part<T>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::keys::{CaptureRule, Role};
 
     fn claim(rule: usize, file: &str, channel: Option<&str>, segment: Option<u32>) -> Claim {
         Claim {
-            exposure: Exposure {
-                companions: Vec::new(),
-                rule,
-                file: file.into(),
-                role: Role::Scene,
-                run: None,
-                sensor: None,
-                lit: None,
-                seen: None,
-                shot: None,
-                range: None,
-                channel: channel.map(str::to_owned),
-                segment,
-                reference: None,
-                keys: CaptureRule::default().record_keys().into(),
-            },
+            exposure: Exposure { rule, channel: channel.map(str::to_owned), segment, ..Exposure::of_file(file) },
             source: Source { rule, row: None },
         }
     }

@@ -86,25 +86,9 @@ fn takes(pattern: &Pattern, file: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::campaign::keys::{CaptureRule, Role};
 
     fn exposure() -> Exposure {
-        Exposure {
-            rule: 0,
-            file: "raw/L1.trc".into(),
-            role: Role::Scene,
-            run: None,
-            sensor: Some("s1".into()),
-            lit: Some(1),
-            seen: None,
-            shot: None,
-            range: None,
-            channel: None,
-            segment: None,
-            reference: None,
-            companions: Vec::new(),
-            keys: CaptureRule::default().record_keys().into(),
-        }
+        Exposure { sensor: Some("s1".into()), lit: Some(1), ..Exposure::of_file("raw/L1.trc") }
     }
 
     fn campaign(matches: &[&str]) -> Campaign {

@@ -53,6 +53,27 @@ impl Exposure {
         let reference = self.reference.as_ref().map(|reference| &reference.file);
         std::iter::once(&self.file).chain(reference).chain(&self.companions)
     }
+
+    /// Of a file of the scene, by a rule that says nothing more.
+    #[cfg(test)]
+    pub(crate) fn of_file(file: &str) -> Self {
+        Self {
+            rule: 0,
+            file: file.into(),
+            role: Role::Scene,
+            run: None,
+            sensor: None,
+            lit: None,
+            seen: None,
+            shot: None,
+            range: None,
+            channel: None,
+            segment: None,
+            reference: None,
+            companions: Vec::new(),
+            keys: CaptureRule::default().record_keys().into(),
+        }
+    }
 }
 
 /// Where the reference pulse of an exposure is recorded.

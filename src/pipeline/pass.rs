@@ -9,6 +9,7 @@ mod step;
 use std::any::Any;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 
@@ -108,6 +109,8 @@ struct Shared<'a> {
     progress: &'a Progress,
     budget: Arc<Budget>,
     first: Mutex<Option<Failure>>,
+    /// Whether a thread ended before its time because another one did.
+    stopped: AtomicBool,
     content: Mutex<BTreeMap<(usize, usize), Digest>>,
     /// Rows that may still be rejected.
     allowed: Mutex<u64>,
@@ -143,7 +146,8 @@ impl Shared<'_> {
     /// Runs the body of a thread; the first failure stops everybody.
     fn guard(&self, step: usize, body: impl FnOnce() -> Result<(), Failure>) {
         match self.caught(step, body) {
-            Ok(()) | Err(Failure::Stopped) => {}
+            Ok(()) => {}
+            Err(Failure::Stopped) => self.stopped.store(true, Ordering::Relaxed),
             Err(failure) => self.fail(failure),
         }
     }
@@ -197,6 +201,7 @@ pub fn run(
         progress,
         budget: Budget::new(settings.memory_bytes),
         first: Mutex::new(None),
+        stopped: AtomicBool::new(false),
         content: Mutex::default(),
         allowed: Mutex::new(allowed),
     };
@@ -229,10 +234,15 @@ pub fn run(
         shared.guard(pass.root, || root::read(shared, pass, &children, reducers));
         drop(children);
     });
-    content.extend(shared.content.into_inner().unwrap_or_else(PoisonError::into_inner));
+    content.extend(std::mem::take(&mut *shared.content.lock().unwrap_or_else(PoisonError::into_inner)));
+    let (heading, is_stopped) = (shared.heading(pass.root), shared.stopped.into_inner());
     match shared.first.into_inner().unwrap_or_else(PoisonError::into_inner) {
         Some(Failure::Cause(error)) => Err(error),
         Some(Failure::Early(ended)) => Ok(ended),
+        Some(Failure::Stopped) | None if is_stopped => {
+            // Taken for whole, it would be planned again.
+            Err(RunError::Panic { heading, message: "its threads stopped one another without a cause".to_owned() })
+        }
         Some(Failure::Stopped) | None => Ok(Ended::Whole),
     }
 }

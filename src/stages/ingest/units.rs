@@ -118,35 +118,11 @@ impl<'a> Unit<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use crate::campaign::Role;
-    use crate::campaign::keys::RecordKeys;
 
     fn capture(files: &[&str]) -> Capture {
-        let keys: RecordKeys =
-            serde_json::from_value(serde_json::json!({ "segments": [] })).expect("all else is absent");
-        let keys = Arc::new(keys);
-        let item = |file: &&str| {
-            let exposure = Exposure {
-                rule: 0,
-                file: file.into(),
-                role: Role::Scene,
-                run: None,
-                sensor: None,
-                lit: None,
-                seen: None,
-                shot: None,
-                range: None,
-                channel: None,
-                segment: None,
-                reference: None,
-                companions: Vec::new(),
-                keys: Arc::clone(&keys),
-            };
-            Item { exposure, records: None, bytes: 1 }
-        };
+        let item = |file: &&str| Item { exposure: Exposure::of_file(file), records: None, bytes: 1 };
         let items = files.iter().map(item).collect();
         Capture { campaign: 0, role: Role::Scene, run: None, sensor: "s".to_owned(), lit: 1, seen: 1, items }
     }
