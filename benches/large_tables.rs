@@ -130,6 +130,7 @@ fn labels(campaign: &str, pair: [i32; 2]) -> Vec<Label> {
             covariance: onset.covariance,
             width_ps: Some(0.0),
             width_sd_ps: None,
+            own_variance_ps2: None,
             width_kurtosis: None,
             snr: onset.snr,
             turns: 0,

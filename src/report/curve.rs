@@ -154,6 +154,7 @@ fn pulse(impulse: &Impulse, polarity: f64) -> Pulse {
         kurtosis: impulse.width_kurtosis.unwrap_or(0.0),
         tilt: impulse.width_tilt.unwrap_or(0.0),
         width_sd_ps: impulse.width_sd_ps.unwrap_or(0.0),
+        own_variance_ps2: impulse.own_variance_ps2.unwrap_or(impulse.width_ps * impulse.width_ps),
         tail_ps,
         tail_sd_ps: 0.0,
         amplitude_v: polarity * impulse.amplitude_v,
@@ -330,6 +331,7 @@ mod tests {
             width_tilt: None,
             tail_ps: None,
             own_time_ps: None,
+            own_variance_ps2: None,
             pair: None,
         }
     }

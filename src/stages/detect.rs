@@ -106,7 +106,7 @@ impl Default for Detect {
 
 impl Stage for Detect {
     const KIND: &'static str = "detect";
-    const VERSION: u32 = 10;
+    const VERSION: u32 = 11;
     const GRAIN: Grain = Grain::Capture;
     const CONDITIONS: &'static [Condition] = &[
         Condition("fraction", "method", &["leading-edge", "constant-fraction"]),
@@ -172,6 +172,7 @@ impl Detect {
                 time_ps: impulse.time_ps,
                 time_sd_ps: impulse.time_sd_ps,
                 own_time_ps: impulse.own_time_ps,
+                own_variance_ps2: impulse.own_variance_ps2,
                 earliest_ps: extended.then_some(impulse.time_ps - EARLIEST_WIDTHS * impulse.width_ps),
                 amplitude: impulse.amplitude_v,
                 amplitude_sd: Some(impulse.amplitude_sd_v.hypot(stir.gain_sd * impulse.amplitude_v)),

@@ -93,7 +93,7 @@ pub struct State {
 
 impl Stage for Recalibrate {
     const KIND: &'static str = "recalibrate";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },

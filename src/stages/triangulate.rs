@@ -140,7 +140,7 @@ impl Context {
 
 impl Stage for Triangulate {
     const KIND: &'static str = "triangulate";
-    const VERSION: u32 = 6;
+    const VERSION: u32 = 7;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },

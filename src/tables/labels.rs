@@ -35,6 +35,10 @@ table! {
         width_ps: Option<f64>,
         /// Standard deviation of the width, where the onset has one.
         width_sd_ps: Option<f64>,
+        /// Variance of its light beyond the sensor's response as its profile alone has it, in ps^2; below 0 where noise
+        /// makes it so, null for a part and where no light was predicted in the profile. Its standard deviation is
+        /// `2 width_ps width_sd_ps`.
+        own_variance_ps2: Option<f64>,
         /// Excess kurtosis of the spread that makes the onset wide: 0 for a Gaussian, -1 for the chords of a disk,
         /// between them for light over more disks.
         width_kurtosis: Option<f64>,

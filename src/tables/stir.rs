@@ -44,6 +44,9 @@ pub struct Impulse {
     pub tail_ps: Option<f64>,
     /// Time of flight as the profile alone has it, to which `impulse_cov` belongs; null where none was predicted.
     pub own_time_ps: Option<f64>,
+    /// Variance of its light beyond the sensor's response as the profile alone has it; below 0 where noise makes it so,
+    /// null where none was predicted. Its standard deviation is `2 width_ps width_sd_ps`.
+    pub own_variance_ps2: Option<f64>,
     /// The best two points in the place of an impulse that is wider than 0.
     pub pair: Option<ImpulsePair>,
 }
@@ -71,7 +74,7 @@ pub struct ImpulsePair {
 }
 
 const REQUIRED: usize = 8;
-const CELLS: usize = 21;
+const CELLS: usize = 22;
 /// The first are never null.
 const IMPULSE_FIELDS: [&str; CELLS] = [
     "time_ps",
@@ -87,6 +90,7 @@ const IMPULSE_FIELDS: [&str; CELLS] = [
     "width_tilt",
     "tail_ps",
     "own_time_ps",
+    "own_variance_ps2",
     "pair_first_ps",
     "pair_second_ps",
     "pair_first_sd_ps",
@@ -114,6 +118,7 @@ impl Impulse {
             self.width_tilt,
             self.tail_ps,
             self.own_time_ps,
+            self.own_variance_ps2,
             of_pair(|pair| pair.first_ps),
             of_pair(|pair| pair.second_ps),
             of_pair(|pair| pair.first_sd_ps),
@@ -141,6 +146,7 @@ impl Impulse {
             width_tilt,
             tail_ps,
             own_time_ps,
+            own_variance_ps2,
             pair @ ..,
         ] = *cells;
         let pair_of = |[first, second, first_sd, second_sd, correlation, one, other, gain]: [Option<f64>; 8]| {
@@ -169,6 +175,7 @@ impl Impulse {
             width_tilt,
             tail_ps,
             own_time_ps,
+            own_variance_ps2,
             pair: pair_of(pair),
         })
     }

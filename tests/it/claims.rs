@@ -301,6 +301,17 @@ fn baselines_that_move_make_no_onsets() {
     }
 }
 
+/// Ripple that is the same in every shot, far above weak pulses, is neither light nor an error of the response.
+#[test]
+fn ripple_locked_to_the_laser_makes_no_onsets() {
+    let name = "ripple of 0.5 locked to the laser, 25 MHz";
+    let instrument = Instrument::all().into_iter().find(|instrument| instrument.name == name).unwrap();
+    let claims = claims(&instrument, 10.0, 64, 4);
+    eprintln!("{claims:?}");
+    assert!(claims.missed.hits <= 1 && claims.false_onsets.hits <= 1, "{claims:?}");
+    assert!(claims.within.share() > 0.88 && claims.ratio.value < 1.3, "{claims:?}");
+}
+
 /// A converter of coarse steps is not taken for one without noise.
 #[test]
 fn coarse_converters_have_the_noise_of_rounding() {

@@ -45,7 +45,7 @@ const SAMPLES_PER_COMPONENT: usize = 8;
 /// Part of a component that pulses, line and slow noise must leave for it to count.
 const NEW: f64 = 0.05;
 /// Attempts at most.
-const ATTEMPTS: usize = 6;
+pub(super) const ATTEMPTS: usize = 6;
 
 /// What is supposed of a record besides its pulses.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -139,7 +139,11 @@ impl Attempt {
                     width.hint(r, &causes[r], least_score).filter(|hint| may_be_wider || hint.cause.stretch < 0.0)
                 };
                 let width = widths[r].as_ref().and_then(hint);
-                [width, ground(&fitter, &state, r, &causes[r], evidence_min)]
+                let of_ground = |Ground { variances_v2, promise }: Ground| {
+                    let ground_v2 = sum(&causes[r].ground_v2, &variances_v2);
+                    Hint { record: r, cause: Cause { ground_v2, ..causes[r].clone() }, promise, least_gain: 0.0 }
+                };
+                [width, Ground::of(&fitter, &state, r, evidence_min).map(of_ground)]
             })
             .flatten()
             .collect();
@@ -191,7 +195,8 @@ fn trials(causes: &[Cause]) -> Vec<Hint> {
         .collect()
 }
 
-fn sum(own: &[f64], other: &[f64]) -> Vec<f64> {
+/// Variances of components, one upon the other.
+pub(super) fn sum(own: &[f64], other: &[f64]) -> Vec<f64> {
     let at = |values: &[f64], k: usize| values.get(k).copied().unwrap_or(0.0);
     (0..own.len().max(other.len())).map(|k| at(own, k) + at(other, k)).collect()
 }
@@ -242,28 +247,37 @@ impl Width {
     }
 }
 
-/// A baseline that moves, where noise does not explain the residual of record `r`.
-fn ground(fitter: &Fitter, state: &State, r: usize, cause: &Cause, evidence_min: f64) -> Option<Hint> {
-    if fitter.misfit(state, Some(r), None).sigma() < MISFIT_SIGMA {
-        return None;
+/// A baseline that moves.
+pub(super) struct Ground {
+    /// Variances of its components beyond those that are supposed, V^2.
+    pub(super) variances_v2: Vec<f64>,
+    /// Chi2 that it promises.
+    promise: f64,
+}
+
+impl Ground {
+    /// `None` where noise explains the residual of record `r`.
+    pub(super) fn of(fitter: &Fitter, state: &State, r: usize, evidence_min: f64) -> Option<Self> {
+        if fitter.misfit(state, Some(r), None).sigma() < MISFIT_SIGMA {
+            return None;
+        }
+        let (record, residual) = (&fitter.model.records[r], &state.residuals[r]);
+        let len = record.len();
+        let (mut power, mut left) = (Vec::new(), Vec::new());
+        for k in 0..(len / SAMPLES_PER_COMPONENT).min(COMPONENTS_MAX) {
+            let direction = slow_direction(&record.whitener, k);
+            let dot = |other: &[f64]| direction.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
+            let own = dot(&record.nuisance.without(&direction));
+            let counts = own > NEW * NEW * dot(&direction);
+            power.push(if counts { dot(residual).powi(2) / own } else { 1.0 });
+            left.push(own);
+        }
+        let of_first = |count: usize| {
+            let mean = |values: &[f64]| values[..count].iter().sum::<f64>() / count as f64;
+            let excess = (mean(&power) - 1.0).max(0.0);
+            (count as f64 * (excess - excess.ln_1p()), count, excess / mean(&left))
+        };
+        let (promise, count, variance_v2) = (1..=power.len()).map(of_first).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        (promise > evidence_min).then(|| Self { variances_v2: vec![variance_v2; count], promise })
     }
-    let (record, residual) = (&fitter.model.records[r], &state.residuals[r]);
-    let len = record.len();
-    let (mut power, mut left) = (Vec::new(), Vec::new());
-    for k in 0..(len / SAMPLES_PER_COMPONENT).min(COMPONENTS_MAX) {
-        let direction = slow_direction(&record.whitener, k);
-        let dot = |other: &[f64]| direction.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
-        let own = dot(&record.nuisance.without(&direction));
-        let counts = own > NEW * NEW * dot(&direction);
-        power.push(if counts { dot(residual).powi(2) / own } else { 1.0 });
-        left.push(own);
-    }
-    let of_first = |count: usize| {
-        let mean = |values: &[f64]| values[..count].iter().sum::<f64>() / count as f64;
-        let excess = (mean(&power) - 1.0).max(0.0);
-        (count as f64 * (excess - excess.ln_1p()), count, excess / mean(&left))
-    };
-    let (promise, count, variance_v2) = (1..=power.len()).map(of_first).max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let cause = Cause { ground_v2: sum(&cause.ground_v2, &vec![variance_v2; count]), ..cause.clone() };
-    (promise > evidence_min).then_some(Hint { record: r, cause, promise, least_gain: 0.0 })
 }

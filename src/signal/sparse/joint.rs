@@ -9,7 +9,7 @@ use super::evidence::{evidence_min_joint, evidence_min_of};
 use super::greedy::Fitter;
 use super::model::Model;
 use super::pair::PairFit;
-use super::prediction::{OwnTimes, without};
+use super::prediction::{OwnTimes, own_variance_ps2};
 use super::state::State;
 use super::{FALSE_PULSES, Profile, Pulse, Response, SparseFit, SparseOptions};
 
@@ -106,6 +106,8 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
         let sd = |unknown: usize| covariance(unknown, unknown).sqrt() * inflation;
         let (time, amplitude) = (state.time_unknown(k), group * state.pulses() + k);
         let width_ps = place.variance_ps2.sqrt();
+        let [variance_ps2, variance_sd_ps2] =
+            if width_ps > 0.0 { own_variance_ps2(&place, sd(time + 1)) } else { [0.0; 2] };
         Pulse {
             time_ps: place.time_ps,
             time_sd_ps: covariance(time, time).sqrt() * widenings[k],
@@ -113,7 +115,8 @@ fn describe(fitter: &Fitter, state: &State, r: usize, judged: &Judged, evidence_
             width_ps,
             kurtosis: place.kurtosis(),
             tilt: place.tilt(),
-            width_sd_ps: if width_ps > 0.0 { without(place.pull(1), sd(time + 1)) / (2.0 * width_ps) } else { 0.0 },
+            own_variance_ps2: variance_ps2,
+            width_sd_ps: if width_ps > 0.0 { variance_sd_ps2 / (2.0 * width_ps) } else { 0.0 },
             tail_ps: place.tail_ps(),
             tail_sd_ps: if place.tail_ps() > 0.0 { sd(time + 2) } else { 0.0 },
             amplitude_v: state.amplitude_of(group, k),

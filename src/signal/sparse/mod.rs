@@ -160,6 +160,9 @@ pub struct Pulse {
     pub tilt: f64,
     /// Standard deviation of `width_ps`, to first order; where a width was predicted, by what the records alone say.
     pub width_sd_ps: f64,
+    /// Variance of the light, ps^2, as the records alone have it; below 0 where noise makes it so. Its standard
+    /// deviation is `2 width_ps width_sd_ps`.
+    pub own_variance_ps2: f64,
     /// Constant of the exponential tail of its light, ps; 0 for none.
     pub tail_ps: f64,
     /// Standard deviation of `tail_ps`, to first order.

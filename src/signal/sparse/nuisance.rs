@@ -13,6 +13,10 @@ use crate::whiten::Whitener;
 /// A direction counts as explained by others if they leave no larger part of its length.
 const NEW: f64 = 0.05;
 
+/// Highest power of a line that bends, where there is slow noise. The components of that are level at both ends of a
+/// record, and few of them are far from what is not: without bends, ends of records would show pulses.
+const BENDS: i32 = 3;
+
 /// The axes of Q.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Nuisance {
@@ -35,8 +39,12 @@ impl Nuisance {
             nuisance.add(&constant, None);
         }
         if baseline == Baseline::Line {
-            let middle = 0.5 * (len as f64 - 1.0);
-            nuisance.add(&whitener.apply(&(0..len).map(|n| n as f64 - middle).collect::<Vec<_>>()), None);
+            let half = 0.5 * (len as f64 - 1.0);
+            let is_slow = slow_v2.iter().any(|variance_v2| *variance_v2 > 0.0);
+            for power in 1..=if is_slow { BENDS } else { 1 } {
+                let bent: Vec<f64> = (0..len).map(|n| (n as f64 / half - 1.0).powi(power)).collect();
+                nuisance.add(&whitener.apply(&bent), None);
+            }
         }
         for (k, variance_v2) in slow_v2.iter().enumerate().filter(|(_, variance_v2)| **variance_v2 > 0.0) {
             nuisance.add(&slow_direction(whitener, k), Some(*variance_v2));

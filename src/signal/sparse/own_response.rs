@@ -15,14 +15,19 @@
 //! that follow one another, are no property of the sensor. (A random effect between records: DerSimonian and Laird,
 //! Control. Clin. Trials 7, 177 (1986).)
 //!
+//! What a record shows besides pulses and noise, a baseline that moves ([`super::cause`]), is its own: it is explained
+//! before the record is asked, or else ripple would pass for tails of the response.
+//!
 //! Not modelled: a response that arrives earlier or later, which no record tells from light that does; a slower rise.
 
+use super::cause::{self, ATTEMPTS, Ground};
 use super::column::Column;
 use super::evidence::evidence_min_of;
 use super::greedy::Fitter;
 use super::linear::Cholesky;
 use super::model::Model;
-use super::{FALSE_PULSES, Profile, Response, SparseOptions, WIDTH_SD};
+use super::state::State;
+use super::{Baseline, FALSE_PULSES, Profile, Response, SparseOptions, WIDTH_SD};
 
 /// Distance of the copies of the response, in widths, the first one's place in units of that, and their number: nearer
 /// ones look like another width, and wider gaps would miss a fast response between them.
@@ -170,10 +175,29 @@ impl ResponseErrors {
     ) -> Option<ResponseScore> {
         let response = averaged(&self.response(coefficients));
         let evidence_min = options.evidence_min.unwrap_or_else(|| evidence_min_of(profile, &response, FALSE_PULSES));
-        let model = Model::new(&[(*profile, &response)], options, true);
-        let fitter = Fitter::new(model, &[profile.mean_v], evidence_min, options.pulses_max);
-        let fitter = fitter.with_least_share(least_share);
-        let (state, _) = fitter.grown();
+        let mut slow_v2 = profile.slow_v2.to_vec();
+        let mut grounds = 0..ATTEMPTS;
+        loop {
+            let supposed = Profile { slow_v2: &slow_v2, ..*profile };
+            let model = Model::new(&[(supposed, &response)], options, true);
+            let fitter = Fitter::new(model, &[profile.mean_v], evidence_min, options.pulses_max);
+            let fitter = fitter.with_least_share(least_share);
+            let (state, _) = fitter.grown();
+            let may_move = options.baseline == Baseline::Line && grounds.next().is_some();
+            let ground = may_move.then(|| Ground::of(&fitter, &state, 0, evidence_min)).flatten();
+            let Some(ground) = ground else { return self.score_of(&fitter, &state, coefficients, &averaged) };
+            slow_v2 = cause::sum(&slow_v2, &ground.variances_v2);
+        }
+    }
+
+    /// What the record of a fit says.
+    fn score_of(
+        &self,
+        fitter: &Fitter,
+        state: &State,
+        coefficients: &[f64],
+        averaged: impl Fn(&Response) -> Response,
+    ) -> Option<ResponseScore> {
         if state.pulses() == 0 {
             return None;
         }
@@ -186,8 +210,8 @@ impl ResponseErrors {
             Column::sum((0..state.pulses()).filter(tells).map(column), record.len())
         };
         let directions = self.shapes.iter().enumerate().map(direction).collect();
-        let (mut information, mut gradient) = fitter.information(&state, directions);
-        let inflation = fitter.misfit(&state, None, None).inflation().powi(2);
+        let (mut information, mut gradient) = fitter.information(state, directions);
+        let inflation = fitter.misfit(state, None, None).inflation().powi(2);
         information.iter_mut().chain(&mut gradient).for_each(|value| *value /= inflation);
         for (gradient, row) in gradient.iter_mut().zip(information.chunks(coefficients.len())) {
             *gradient += row.iter().zip(coefficients).map(|(a, b)| a * b).sum::<f64>();

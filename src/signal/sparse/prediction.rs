@@ -14,6 +14,10 @@
 //!
 //! one Newton step of the likelihood alone from the optimum of both. Times that the record alone does not tell apart
 //! have large variances there and covariances that say so; what sums of them are, stays exact.
+//!
+//! The prior of a width rests on the widths of the same patch in all records. It is not made soft, since without it a
+//! blend does not determine widths and times; [`own_variance_ps2`] takes each pulse's own out. With it in, what is
+//! predicted wrong would stay wrong, as sure as all records together make it.
 
 use super::linear::Cholesky;
 use super::place::Place;
@@ -22,7 +26,8 @@ use super::place::Place;
 const SOFT_WIDTHS: f64 = 0.05;
 /// Without its prior a time is held to this many widths of the response, so that its variance stays finite.
 const LOOSE_WIDTHS: f64 = 1.0;
-/// Records that add less than this share to a prediction say nothing.
+/// A record whose share of what is known of a width is less than the first hardly speaks of it; it counts as the other.
+const SAYS_LITTLE: f64 = 0.1;
 const NOTHING: f64 = 1e-3;
 
 /// A pulse that other records predict.
@@ -70,10 +75,18 @@ impl Prior {
     }
 }
 
-/// The standard deviation of a parameter without the information of its prior: what the records alone say of it.
-pub(super) fn without(prior: Option<[f64; 2]>, sd: f64) -> f64 {
-    let information = (sd * sd).recip();
-    prior.map_or(sd, |[_, prior]| (information - prior).max(NOTHING * information).sqrt().recip())
+/// Variance of a pulse's light, ps^2, and its standard deviation, without what was predicted of it; the variance with
+/// that has the standard deviation `sd_ps2`. Priors of its time and of other pulses stay.
+///
+/// Where the record hardly speaks of the width, first order would take it far off: there it stays, as unsure as can be.
+pub(super) fn own_variance_ps2(place: &Place, sd_ps2: f64) -> [f64; 2] {
+    let Some([off_ps2, prior]) = place.pull(1) else { return [place.variance_ps2, sd_ps2] };
+    let information = (sd_ps2 * sd_ps2).recip();
+    let own = information - prior;
+    if own < SAYS_LITTLE * information {
+        return [place.variance_ps2, (NOTHING * information).sqrt().recip()];
+    }
+    [place.variance_ps2 + off_ps2 * prior / own, own.sqrt().recip()]
 }
 
 /// Times without what was predicted of them.

@@ -60,6 +60,7 @@ impl Explained {
             width_tilt: (pulse.width_ps > 0.0).then_some(pulse.tilt),
             tail_ps: (pulse.tail_ps > 0.0).then_some(pulse.tail_ps),
             own_time_ps: are_predicted.then_some(pulse.own_time_ps),
+            own_variance_ps2: are_predicted.then_some(pulse.own_variance_ps2 + pulse.tail_ps * pulse.tail_ps),
             pair: pulse.pair.as_ref().map(pair),
         };
         let impulses = fit.pulses.iter().map(impulse).collect();

@@ -40,6 +40,7 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
         width_tilt: None,
         tail_ps: None,
         own_time_ps: None,
+        own_variance_ps2: None,
         pair: None,
     };
     Stir {

@@ -60,6 +60,7 @@ fn label(onset: &Onset, place: Place, alternative: i32, verdict: Verdict, medium
         covariance: if alternative == 0 { covariance_ps2(onset, place.origin) } else { Vec::new() },
         width_ps: (part == 0).then_some(onset.width_ps),
         width_sd_ps: onset.width_sd_ps.filter(|_| part == 0),
+        own_variance_ps2: onset.own_variance_ps2.filter(|_| part == 0),
         width_kurtosis: onset.width_kurtosis.filter(|_| part == 0),
         snr: snr(onset, part),
         turns: verdict.turns,

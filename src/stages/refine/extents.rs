@@ -152,7 +152,8 @@ impl Widths {
             let own_sd_ps2 = variance_sd_ps2(label);
             let [unfitted, unseen] = if is_alone(label) { [1.0, UNSEEN_ALONE] } else { [UNFITTED, UNSEEN] };
             let sd_ps2 = own_sd_ps2.unwrap_or(unfitted * resolved_ps * label.time_sd_ps);
-            let variance_ps2 = if own_sd_ps2.is_some() { width_ps * width_ps } else { unseen * sd_ps2 };
+            let fitted_ps2 = label.own_variance_ps2.unwrap_or(width_ps * width_ps);
+            let variance_ps2 = if own_sd_ps2.is_some() { fitted_ps2 } else { unseen * sd_ps2 };
             let squared_m2 = model.fields(label).medium.path_m(1.0).powi(2);
             let bounces = bounces(&problem.observations[n].nodes, solution);
             let kurtosis = label.width_kurtosis.unwrap_or_default();

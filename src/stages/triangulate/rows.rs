@@ -75,6 +75,7 @@ impl Model {
                         covariance: if alternative == 0 { covariances::of_onset_ps2(onset) } else { Vec::new() },
                         width_ps: Some(onset.width_ps),
                         width_sd_ps: onset.width_sd_ps,
+                        own_variance_ps2: onset.own_variance_ps2,
                         width_kurtosis: onset.width_kurtosis,
                         snr: onset.snr,
                         turns: *turns,

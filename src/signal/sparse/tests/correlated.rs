@@ -1,7 +1,7 @@
 //! Noise that is correlated from sample to sample: bound, error bars, false pulses.
 
 use super::*;
-use crate::noise;
+use crate::{noise, slow_noise};
 
 /// Noise that is white up to a single pole at 6 GHz, sampled every 25 ps: `r_l = phi^l`.
 const PHI: f64 = 0.389_66;
@@ -125,4 +125,33 @@ fn samples_to_be_ignored_do_not_matter_in_correlated_noise() {
     assert_eq!(before, fit_of(&y));
     assert_eq!(before.pulses.len(), 1);
     assert!((before.pulses[0].time_ps - 3000.0).abs() < 4.0 * before.covariance_ps2[0].sqrt());
+}
+
+/// Wander of three turns a record, in the mean of 64 shots, of which few components are known: no end shows a pulse.
+#[test]
+fn wander_makes_no_pulses_at_the_ends_of_a_record() {
+    let mut rng = ChaCha8Rng::seed_from_u64(24);
+    let (len, sd, height, components) = (600, 1.0 / 8.0, 0.5, 17);
+    let normal = Normal::new(0.0, height).expect("positive");
+    let mut wander = || -> Vec<f64> {
+        let [cos, sin] = [0, 1].map(|_| normal.sample(&mut rng));
+        let turn = |n: usize| std::f64::consts::TAU * 3.0 * n as f64 / len as f64;
+        (0..len).map(|n| cos * turn(n).cos() + sin * turn(n).sin()).collect()
+    };
+    let along = |samples: &[f64], k: usize| -> f64 {
+        samples.iter().enumerate().map(|(n, v)| v * slow_noise::component(k, n as f64, len)).sum::<f64>() / len as f64
+    };
+    let drawn: Vec<Vec<f64>> = (0..200).map(|_| wander()).collect();
+    let variance = |k: usize| drawn.iter().map(|one| along(one, k).powi(2)).sum::<f64>() / drawn.len() as f64;
+    let slow_v2: Vec<f64> = (0..components).map(variance).collect();
+    let records: Vec<Vec<f64>> = (0..1000).map(|_| wander()).collect();
+    let shape = exponential();
+    let sd_v = vec![sd; len];
+    let found = records.iter().filter(|wander| {
+        let mean_v = with_noise(wander, sd, &mut rng);
+        let profile = Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[], slow_v2: &slow_v2, t0_ps: 0.0, dt_ps: DT_PS };
+        !fit(&profile, &shape.response, &SparseOptions::default()).pulses.is_empty()
+    });
+    let found = found.count();
+    assert!(found <= 1, "{found} of 1000");
 }

@@ -62,6 +62,24 @@ fn another_width_is_found_within_its_error() {
     }
 }
 
+/// Ripple that is the same in every shot of a record, under weak pulses, is no tail of the response.
+#[test]
+fn ripple_is_no_tail() {
+    let snr = 10.0;
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut records = records(|t, _| diode(t), snr, 24, 5);
+    for record in &mut records {
+        // Four times the noise.
+        let [cos, sin] = [0, 1].map(|_| Normal::new(0.0, 4.0 / snr).expect("positive").sample(&mut rng));
+        for (n, value) in record.iter_mut().enumerate() {
+            let turn = std::f64::consts::TAU * 0.025e-3 * n as f64 * DT_PS;
+            *value += cos * turn.cos() + sin * turn.sin();
+        }
+    }
+    let own = own_response(&records, snr, &SparseOptions::default());
+    assert!(own.is_none(), "{own:?}");
+}
+
 #[test]
 fn an_echo_and_a_tail_are_found() {
     let points = SparseOptions::default();

@@ -1,4 +1,4 @@
-//! Pulses that other records predict: blends are resolved, and the prior of a time does not count again.
+//! Pulses that other records predict: blends are resolved, and priors of times and widths do not count again.
 
 use super::extended::spread;
 use super::*;
@@ -78,6 +78,39 @@ fn what_was_predicted_of_a_time_is_taken_out_again() {
     println!("with what was expected {with:.2?} ps, own {own:.2?} ps, sds {:.2} ps", one.time_sd_ps(0));
     assert!(with[0] > 1.0 && own[0] < 0.25 * with[0] && own[1] < 0.25 * with[1], "{with:?} {own:?}");
     assert!(one.pulses[0].time_sd_ps < one.time_sd_ps(0));
+}
+
+/// A width that is predicted two standard deviations too large is found larger than it is, but its own variance is not.
+#[test]
+fn what_was_predicted_of_a_width_is_taken_out_again() {
+    let mut rng = ChaCha8Rng::seed_from_u64(83);
+    let (sd, len, draws) = (1.0 / 200.0, 120, 300);
+    let (at, width_ps): (f64, f64) = (3000.0, 25.0);
+    let width_sd_ps = 0.15 * width_ps;
+    for shape in [gaussian(), exponential()] {
+        let (mut with, mut own) = (Vec::new(), Vec::new());
+        for _ in 0..draws {
+            let at = at + rng.random_range(0.0..DT_PS);
+            let y = with_noise(&spread(&shape, at, width_ps, 0.0, len), sd, &mut rng);
+            let wider =
+                Prediction { time_ps: at, time_sd_ps: TIME_SD_PS, width_ps: width_ps + 2.0 * width_sd_ps, width_sd_ps };
+            let fit = fit_white(&shape, &y, sd, &options(vec![wider]));
+            let pulse = fit.pulses[0];
+            let sd_ps2 = 2.0 * pulse.width_ps * pulse.width_sd_ps;
+            with.push((pulse.width_ps.powi(2) - width_ps.powi(2)) / sd_ps2);
+            own.push((pulse.own_variance_ps2 - width_ps.powi(2)) / sd_ps2);
+        }
+        let mean = |pulls: &[f64]| pulls.iter().sum::<f64>() / pulls.len() as f64;
+        println!(
+            "{}: {:.2} with what was expected, own {:.2}, rms {:.2}",
+            shape.name,
+            mean(&with),
+            mean(&own),
+            rms(&own)
+        );
+        assert!(mean(&with) > 0.2, "{}: {}", shape.name, mean(&with));
+        assert!(mean(&own).abs() < 0.15 && (0.85..1.15).contains(&rms(&own)), "{}: {}", shape.name, mean(&own));
+    }
 }
 
 /// Squared errors over their covariance: Gaussian elimination.
