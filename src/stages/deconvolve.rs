@@ -28,17 +28,17 @@
 //! twice.
 //!
 //! With `predictions` (of `predict`), impulses start where a solution predicts them, with its times and widths as
-//! priors, and stay in the fit even where they show no light. `own_time_ps` and `impulse_cov` are those of the profile
-//! alone, so that a prediction never counts as a measurement; only the two points in the place of a wide impulse keep
-//! what the predictions of their neighbours say.
+//! priors, and stay in the fit even where they show no light. `own_time_ps`, `impulse_cov` and `own_variance_ps2` are
+//! those of the profile alone, so that a prediction never counts as a measurement; only widths, and the two points in
+//! the place of a wide impulse, keep what the predictions of their neighbours say.
 //!
 //! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
 //! amplitudes are counts a bin.
 //!
-//! Under the impulses lies a line and the profile's slow noise, explained together with them. Where noise does not
-//! explain a profile, a baseline that moves the same way in every shot is tried (`ground_v`), and where its pulses ask
-//! for it, a response of another width than the calibration's (`response_width`). Both are kept where the profile is
-//! the likelier for it, and their errors are in the covariance.
+//! Under the impulses lie a line (bent, where there is slow noise) and that noise, explained together with them. Where
+//! noise does not explain a profile, a baseline that moves the same way in every shot is tried (`ground_v`), and where
+//! its pulses ask for it, a response of another width than the calibration's (`response_width`). Both are kept where
+//! the profile is the likelier for it, and their errors are in the covariance.
 //!
 //! Takes `profiles` and `calibration`; optional `session` and `predictions`; writes `stir`. With `session` (of
 //! `track`), drift and pick-up are taken off; the drift's error joins `jitter_ps`, the pick-up's the noise. The noise

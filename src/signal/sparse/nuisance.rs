@@ -14,7 +14,7 @@ use crate::whiten::Whitener;
 const NEW: f64 = 0.05;
 
 /// Highest power of a line that bends, where there is slow noise. The components of that are level at both ends of a
-/// record, and few of them are far from what is not: without bends, ends of records would show pulses.
+/// record, and few of them are far from what is not: without bends, the ends of a record would show pulses.
 const BENDS: i32 = 3;
 
 /// The axes of Q.
@@ -39,7 +39,7 @@ impl Nuisance {
             nuisance.add(&constant, None);
         }
         if baseline == Baseline::Line {
-            let half = 0.5 * (len as f64 - 1.0);
+            let half = 0.5 * len.saturating_sub(1).max(1) as f64;
             let is_slow = slow_v2.iter().any(|variance_v2| *variance_v2 > 0.0);
             for power in 1..=if is_slow { BENDS } else { 1 } {
                 let bent: Vec<f64> = (0..len).map(|n| (n as f64 / half - 1.0).powi(power)).collect();
@@ -143,6 +143,13 @@ mod tests {
         let unit = |n: usize| (0..20).map(|m| f64::from(u8::from(m == n))).collect::<Vec<f64>>();
         let trace: f64 = (0..20).map(|n| 1.0 - nuisance.without(&unit(n))[n]).sum();
         assert!((nuisance.freedom() - trace).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_record_of_one_sample_has_no_slope() {
+        let whitener = Whitener::new(&[0.5], &[1.0]);
+        let left = Nuisance::new(&whitener, Baseline::Line, &[0.1]).without(&whitener.apply(&[3.0]));
+        assert!(left[0].abs() < 1e-12, "{left:?}");
     }
 
     #[test]
