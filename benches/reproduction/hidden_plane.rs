@@ -8,9 +8,13 @@ use super::svg::{Panel, Picture};
 use super::{draws, quantile};
 use crate::corner::Place;
 use crate::hidden_plane::{Drawn, Noisy, drawn, noisy, noisy_bound_m};
+use crate::score::Rate;
 
 /// Onset noise of the second table: the paper's, and a quarter of it.
 const NOISES_PS: [f64; 2] = [25.0, 100.0];
+
+/// Quantile of 95 % of chi-square with three degrees of freedom.
+const CHI2_95: f64 = 7.815;
 
 /// Tables and figure.
 pub fn print(seeds: u64) {
@@ -30,13 +34,15 @@ fn from_files(seeds: u64) {
     let errors_mm: Vec<f64> = placed.iter().map(|(error_m, ..)| 1e3 * error_m).collect();
     let sds_mm: Vec<f64> = placed.iter().map(|(_, sd_m, _)| 1e3 * sd_m).collect();
     let bounds_mm: Vec<f64> = placed.iter().map(|(.., bound_m)| 1e3 * bound_m).collect();
+    let squared: Vec<f64> = places.iter().filter_map(|place| place.squared).collect();
+    let within = Rate::of(squared.iter().map(|squared| 3.0 * squared < CHI2_95));
     let planes: Vec<f64> = all.iter().filter_map(|drawn| drawn.plane.map(|(_, rms_m)| 1e3 * rms_m)).collect();
     let on_plane: usize = all.iter().filter_map(|drawn| drawn.plane.map(|(patches, _)| patches)).sum();
     println!(
-        "| scenes | patches found | found beside them | median error (mm) | 90 % (mm) | rms (mm) | rms of the standard deviations (mm) | rms bound (mm) | told to lie on the plane | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|---|"
+        "| scenes | patches found | found beside them | median error (mm) | 90 % (mm) | rms (mm) | rms of the standard deviations (mm) | squared error / covariance, a coordinate | within the ellipsoid of 95 % | rms bound (mm) | told to lie on the plane | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
     );
     println!(
-        "| {seeds} | {} of {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {on_plane} | {:.2} |",
+        "| {seeds} | {} of {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {within} | {:.2} | {on_plane} | {:.2} |",
         placed.len(),
         places.len(),
         all.iter().map(|drawn| drawn.scored.extra).sum::<usize>(),
@@ -44,6 +50,7 @@ fn from_files(seeds: u64) {
         quantile(&errors_mm, 0.9),
         rms(&errors_mm),
         rms(&sds_mm),
+        squared.iter().sum::<f64>() / squared.len() as f64,
         rms(&bounds_mm),
         rms(&planes),
     );

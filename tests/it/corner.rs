@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use periscope::bound::{Bound, Use};
 use periscope::pipeline::run::Settings;
 use periscope::simulate::{Format, Laboratory, Scene};
@@ -31,6 +31,8 @@ const FACED_M: [f64; 3] = [-0.2, 0.95, -0.02];
 pub struct Place {
     /// Distance of the estimated patch from the true one, and its stated standard deviation; `None`: not found.
     pub found_m: Option<(f64, f64)>,
+    /// Squared error over the stated covariance, a coordinate: 1 on average where that is right.
+    pub squared: Option<f64>,
     /// Bound of its position's standard deviation.
     pub bound_m: f64,
 }
@@ -114,11 +116,23 @@ pub fn compared(scene: &str, pipeline: &str, seed: u64) -> (Lab, Scored) {
         let patch = nearest.filter(|&n| error_m(rest[n]) < 0.5 * APART_M).map(|n| rest.remove(n));
         points.push((position(truth), patch.map(|patch| turn * position(patch))));
         let found_m = patch.map(|patch| (error_m(patch), patch.sd_m.expect("refined")));
-        Place { found_m, bound_m: bound.coordinates.sd_m(truth.patch).unwrap_or(f64::INFINITY) }
+        let squared = patch.map(|patch| {
+            let error = position(patch) - turn.transpose() * position(truth);
+            let inverse = covariance_m2(patch).try_inverse().expect("refined");
+            error.dot(&(inverse * error)) / 3.0
+        });
+        Place { found_m, squared, bound_m: bound.coordinates.sd_m(truth.patch).unwrap_or(f64::INFINITY) }
     };
     let places = truth.iter().filter(|patch| patch.patch > VISIBLE).map(place).collect();
     let extra = rest.len();
     (lab, Scored { places, extra, points })
+}
+
+/// Covariance of a position, in the frame of the solution.
+fn covariance_m2(patch: &Patch) -> Matrix3<f64> {
+    let [xx, xy, xz] = [patch.cov_xx_m2, patch.cov_xy_m2, patch.cov_xz_m2].map(|value| value.expect("refined"));
+    let [yy, yz, zz] = [patch.cov_yy_m2, patch.cov_yz_m2, patch.cov_zz_m2].map(|value| value.expect("refined"));
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
 /// Four hidden patches, and nothing else.
