@@ -216,9 +216,10 @@ fn from_noisy_onsets_hidden_patches_are_found_near_their_bound() {
     assert!(search.off_plane_m.is_some_and(|off_m| off_m < 2.0 * bound_m) && by_rank_m.len() < 9);
 }
 
-/// All are found, at a third of a millimetre rms and as sure as they say, though third bounces of two patches may blend in all profiles: a second
-/// look at these knows what to look for (`predict`). Those on a plane are as flat as their errors allow. Visible
-/// patches stand where second bounces of 100,000 times their noise say, though none of these is a point of light.
+/// All are found, at a third of a millimetre rms and as sure as they say, though third bounces of two patches may blend
+/// in all profiles: a second look at these knows what to look for (`predict`). Those on a plane are as flat as their
+/// errors allow. Visible patches stand where second bounces of 100,000 times their noise say, though none of these is a
+/// point of light.
 #[test]
 fn patches_on_a_hidden_plane_are_found_and_flat() {
     let drawn = drawn(1);
