@@ -8,7 +8,7 @@
 mod text;
 
 use std::collections::BTreeMap;
-use std::fs::Metadata;
+use std::fs::{DirEntry, Metadata};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -317,11 +317,21 @@ fn sweep(root: &Path) -> io::Result<()> {
     for entry in fs::read_dir(root)? {
         let entry = entry?;
         let is_half = entry.file_name().as_encoded_bytes().starts_with(HALF.as_bytes());
-        if is_half && entry.metadata()?.modified()?.elapsed().is_ok_and(|age| age > LEFT_BEHIND) {
-            fs::remove_file(entry.path())?;
+        if is_half {
+            remove_if_left_behind(&entry).or_else(gone)?;
         }
     }
     Ok(())
+}
+
+fn remove_if_left_behind(half: &DirEntry) -> io::Result<()> {
+    let is_old = half.metadata()?.modified()?.elapsed().is_ok_and(|age| age > LEFT_BEHIND);
+    if is_old { fs::remove_file(half.path()) } else { Ok(()) }
+}
+
+/// A file may go while its folder is listed: its writer gives it its name, or another process removes it.
+fn gone(error: io::Error) -> io::Result<()> {
+    if error.kind() == io::ErrorKind::NotFound { Ok(()) } else { Err(error) }
 }
 
 fn key(path: &Path) -> String {

@@ -25,17 +25,37 @@ pub fn estimate(stretches: &[Vec<f64>], lags: usize) -> Noise {
     if shortest == 0 {
         return Noise { sd: 0.0, acf: Vec::new() };
     }
-    let mut products = vec![0.0; lags.clamp(1, shortest)];
-    let mut room = Vec::new();
-    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, stretch, &mut room));
-    let pairs = |lag: usize| stretches.iter().map(|stretch| stretch.len() - lag).sum::<usize>();
-    let centred: Vec<f64> = products.iter().enumerate().map(|(lag, sum)| sum / pairs(lag) as f64).collect();
-    let length = pairs(0) / stretches.len();
-    let covariances = undo_centring(&centred, length);
-    let variance = covariances[0].max(0.0);
+    let lags = lags.clamp(1, shortest);
+    let mean = |stretch: &[f64]| sum(stretch) / stretch.len() as f64;
+    let centred = lagged_means(&stretches, lags, mean);
+    let length = stretches.iter().map(|stretch| stretch.len()).sum::<usize>() / stretches.len();
+    of_covariances(&undo_centring(&centred, length))
+}
+
+/// Noise of stretches of mean 0 that lack a part of the autocovariance `lacking` at lags 0, 1, ..; as many
+/// autocorrelations, or fewer where stretches are shorter.
+#[must_use]
+pub fn estimate_of_rest(stretches: &[Vec<f64>], lacking: &[f64]) -> Noise {
+    let stretches: Vec<&Vec<f64>> = stretches.iter().filter(|stretch| !stretch.is_empty()).collect();
+    let shortest = stretches.iter().map(|stretch| stretch.len()).min().unwrap_or(0);
+    let means = lagged_means(&stretches, lacking.len().min(shortest), |_| 0.0);
+    of_covariances(&means.iter().zip(lacking).map(|(mean, lacking)| mean + lacking).collect::<Vec<_>>())
+}
+
+fn of_covariances(covariances: &[f64]) -> Noise {
+    let variance = covariances.first().map_or(0.0, |variance| variance.max(0.0));
     let correlation =
         |(lag, covariance): (usize, &f64)| if lag == 0 || variance == 0.0 { 1.0 } else { covariance / variance };
-    Noise { sd: variance.sqrt(), acf: covariances.iter().enumerate().map(correlation).take(lags).collect() }
+    Noise { sd: variance.sqrt(), acf: covariances.iter().enumerate().map(correlation).collect() }
+}
+
+/// Means of the products of all samples, less the `middle` of their stretch, with those so many lags later.
+fn lagged_means(stretches: &[&Vec<f64>], lags: usize, middle: impl Fn(&[f64]) -> f64) -> Vec<f64> {
+    let mut products = vec![0.0; lags];
+    let mut room = Vec::new();
+    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, stretch, middle(stretch), &mut room));
+    let pairs = |lag: usize| stretches.iter().map(|stretch| stretch.len() - lag).sum::<usize>();
+    products.iter().enumerate().map(|(lag, sum)| sum / pairs(lag) as f64).collect()
 }
 
 /// Covariances at lags 0, 1, .. from those of stretches of `length` samples whose means were removed: the fixed point
@@ -137,12 +157,11 @@ pub fn quietest(samples: &[f64], width: usize) -> usize {
 const LANES: usize = 4;
 const LAGS: usize = 8;
 
-/// Adds to each sum, of lag 0, 1, .., the products of all samples about their mean with those as much later. `room` is
+/// Adds to each sum, of lag 0, 1, .., the products of all samples about `middle` with those as much later. `room` is
 /// used again from stretch to stretch.
-fn add_lagged_products(sums: &mut [f64], stretch: &[f64], room: &mut Vec<f64>) {
-    let mean = sum(stretch) / stretch.len() as f64;
+fn add_lagged_products(sums: &mut [f64], stretch: &[f64], middle: f64, room: &mut Vec<f64>) {
     room.clear();
-    room.extend(stretch.iter().map(|value| value - mean));
+    room.extend(stretch.iter().map(|value| value - middle));
     // What lies beyond the end adds nothing.
     room.resize(stretch.len() + sums.len() + LAGS + LANES, 0.0);
     let padded = &room[..];

@@ -51,8 +51,8 @@ pub struct SlowNoise {
     blocks: Blocks,
     /// Offset and amplitudes of each shot, given its samples.
     amplitudes: Vec<Vec<f64>>,
-    /// Share of the samples' degrees of freedom that offset and amplitudes take.
-    taken: f64,
+    /// Their covariance, the same for each shot, row-major.
+    covariance: Vec<f64>,
 }
 
 impl SlowNoise {
@@ -81,8 +81,7 @@ impl SlowNoise {
         let count = blocks.ranges.len() as f64;
         let total = means.iter().copied().flatten().map(|mean| mean * mean).sum::<f64>();
         let mut variances = vec![total / shots / count; size - 1];
-        let (mut own, mut amplitudes) = (fast, Vec::new());
-        let mut taken = 0.0;
+        let (mut own, mut amplitudes, mut covariance) = (fast, Vec::new(), Vec::new());
         for _ in 0..ROUNDS {
             let posterior = posterior_of(&gram, &variances, own)?;
             amplitudes = along.iter().map(|along| product(&posterior, along)).collect::<Vec<Vec<f64>>>();
@@ -93,27 +92,43 @@ impl SlowNoise {
             let next: Vec<f64> = (1..size)
                 .map(|k| amplitudes.iter().map(|c| c[k] * c[k]).sum::<f64>() / shots + own * posterior[k * (size + 1)])
                 .collect();
+            covariance = posterior.iter().map(|value| own * value).collect();
             own = ((total - explained) / shots + own * trace) / count;
-            taken = trace;
             variances = banded(&next);
         }
         let noise = own / count;
         variances.iter_mut().filter(|variance| **variance < SHARE_MIN * noise).for_each(|variance| *variance = 0.0);
-        let samples = blocks.ranges.iter().map(Range::len).sum::<usize>() as f64;
-        Some(Self { variances, blocks, amplitudes, taken: taken / samples })
+        Some(Self { variances, blocks, amplitudes, covariance })
     }
 
-    /// The differences of the same shots, each from the record's start on, without their offsets and slow noise. What
-    /// these take of fast noise is given back to its size.
+    /// The differences of the same shots, each from the record's start on, without their offsets and slow noise.
     #[must_use]
     pub fn fast(&self, differences: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let scale = (1.0 - self.taken).sqrt().recip();
-        let rows: Vec<Vec<f64>> =
-            (0..self.blocks.len).map(|n| self.blocks.row(n as f64, self.variances.len())).collect();
+        let rows: Vec<Vec<f64>> = (0..self.blocks.len).map(|n| self.row(n)).collect();
         let of_shot = |(difference, amplitudes): (&Vec<f64>, &Vec<f64>)| {
-            difference.iter().zip(&rows).map(|(value, row)| scale * (value - dot(amplitudes, row))).collect()
+            difference.iter().zip(&rows).map(|(value, row)| value - dot(amplitudes, row)).collect()
         };
         differences.iter().zip(&self.amplitudes).map(of_shot).collect()
+    }
+
+    /// Autocovariance, at so many lags, that what [`Self::fast`] leaves at these `places` lacks of fast noise: a part of
+    /// it was taken for slow noise, as much as the amplitudes are uncertain.
+    #[must_use]
+    pub fn lacking(&self, places: &[Range<usize>], lags: usize) -> Vec<f64> {
+        let (mut sums, mut pairs) = (vec![0.0; lags], vec![0.0; lags]);
+        for range in places {
+            let rows: Vec<Vec<f64>> = range.clone().map(|n| self.row(n)).collect();
+            let spread: Vec<Vec<f64>> = rows.iter().map(|row| product(&self.covariance, row)).collect();
+            for (lag, (sum, pairs)) in sums.iter_mut().zip(&mut pairs).enumerate() {
+                *sum += spread.iter().zip(rows.iter().skip(lag)).map(|(a, b)| dot(a, b)).sum::<f64>();
+                *pairs += range.len().saturating_sub(lag) as f64;
+            }
+        }
+        sums.iter().zip(pairs).map(|(sum, pairs)| sum / pairs.max(1.0)).collect()
+    }
+
+    fn row(&self, place: usize) -> Vec<f64> {
+        self.blocks.row(place as f64, self.variances.len())
     }
 }
 
@@ -295,6 +310,7 @@ fn quadratic(matrix: &[f64], vector: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::noise::{Noise, estimate_of_rest};
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, StandardNormal};
@@ -362,12 +378,40 @@ mod tests {
                 let fast: Vec<Vec<f64>> =
                     fast.iter().map(|shot| shot.iter().enumerate().map(|(n, v)| masked(n) * v).collect()).collect();
                 let share = dark.iter().filter(|dark| **dark).count() as f64 / LEN as f64;
-                let left = variance(&fast) / share;
+                let places = if lit.is_empty() { vec![0..LEN] } else { vec![0..lit.start, lit.end..LEN] };
+                let left = variance(&fast) / share + slow.lacking(&places, 1)[0];
                 assert!((left - 1.0).abs() < 0.07, "{height} {turns} {lit:?}: {left}");
                 // Less than a turn is an offset in part, and where a part is lit, a part of a turn is seen.
                 let right = if lit.is_empty() && turns > 1.0 { 0.7..1.4 } else { 0.2..2.5 };
                 assert!(right.contains(&(total / (height * height))), "{height} {turns} {lit:?}: {total}");
             }
         }
+    }
+
+    /// Many components take a part of the fast noise at their own frequencies: its autocovariance has it all.
+    #[test]
+    fn what_slow_noise_takes_of_fast_noise_is_given_back_at_every_lag() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut shots = shots(0.0, 1.0, &mut rng);
+        for turns in (1..30).map(|n| f64::from(n) + 0.3) {
+            for shot in &mut shots {
+                let (phase, height) = (rng.random_range(0.0..2.0 * PI), 3.0 / turns);
+                shot.iter_mut().enumerate().for_each(|(n, value)| {
+                    *value += height * (2.0 * PI * turns * n as f64 / LEN as f64 + phase).sin();
+                });
+            }
+        }
+        let slow = slow(&shots, &[true; LEN]).expect("it is plain");
+        let components = slow.variances.iter().filter(|variance| **variance > 0.0).count();
+        assert!(components > 30, "{components}");
+        let fast = slow.fast(&shots);
+        let given_back = estimate_of_rest(&fast, &slow.lacking(std::slice::from_ref(&(0..LEN)), 16));
+        let without = estimate_of_rest(&fast, &[0.0; 16]);
+        let error = |noise: &Noise| {
+            let of_lag = |(lag, r): (usize, &f64)| (r - if lag == 1 { 0.5 } else { 0.0 }).abs();
+            noise.acf.iter().enumerate().skip(1).map(of_lag).fold(0.0, f64::max)
+        };
+        assert!((given_back.sd - 1.0).abs() < 0.02, "{given_back:?}");
+        assert!(error(&given_back) < 0.04 && error(&without) > 0.08, "{given_back:?} {without:?}");
     }
 }

@@ -1,4 +1,5 @@
 use std::fs::{self, File};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::*;
 
@@ -121,4 +122,22 @@ fn hashing_in_pieces_is_hashing_at_once() {
         fs::write(&file, &bytes).unwrap();
         assert_eq!(hash_file(&file).unwrap(), blake3::hash(&bytes));
     }
+}
+
+#[test]
+fn processes_that_save_the_same_notes_do_not_disturb_each_other() {
+    let (folder, manifest) = folder_with("light");
+    let other = folder.path().join(format!("{HALF}of-another"));
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !done.load(Ordering::Relaxed) {
+                fs::write(&other, "{}").unwrap();
+                fs::rename(&other, folder.path().join("named")).unwrap();
+            }
+        });
+        let saved: Result<(), _> = (0..2_000).try_for_each(|_| manifest.save_without_waiting(folder.path()));
+        done.store(true, Ordering::Relaxed);
+        saved.unwrap();
+    });
 }

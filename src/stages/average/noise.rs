@@ -1,6 +1,8 @@
 //! What the first shots of a range say of its noise: standard deviation, autocorrelation, and the variance of a record
 //! as a function of level and slope ([`noise_model`]); and what is slower than these describe ([`slow_noise`]).
 
+use std::ops::Range;
+
 use crate::signal::average::{Mean, PHASES};
 use crate::signal::codes::Codes;
 use crate::signal::dark::{self, Dark};
@@ -12,6 +14,8 @@ use crate::tables::Trace;
 
 /// Lags of the noise autocorrelation that a profile keeps.
 const ACF_LAGS: usize = 16;
+/// Fewer dark samples in a row tell little of these.
+const RUN_MIN: usize = 4 * ACF_LAGS;
 /// Fewer shots tell no model.
 const MODEL_SHOTS_MIN: usize = 4;
 /// A coefficient within this many of its standard deviations of 0 is not claimed.
@@ -70,12 +74,18 @@ impl Judges<'_> {
         let is_dark = |(mean, clear): (&f64, &bool)| *clear && (mean - self.level).abs() < DARK_SIGMA * sd;
         let is_dark: Vec<bool> = self.mean.mean.iter().zip(self.clear).map(is_dark).collect();
         let noise = SlowNoise::of(&self.spread.differences, &is_dark)?;
+        let mut dark = dark_runs(&is_dark);
+        if dark.is_empty() {
+            dark = vec![self.dark.of_mean(self.mean)];
+        }
         // The mean has its share of each shot.
         let shots = self.shots.len() as f64;
         let scale = (shots / (shots - 1.0)).sqrt();
         let mut fast = noise.fast(&dark::differences(self.shots, self.mean));
         fast.iter_mut().flatten().for_each(|value| *value *= scale);
-        Some(Slow { variances: noise.variances.iter().map(|variance| variance * scale * scale).collect(), fast })
+        let given_back = |values: &[f64]| values.iter().map(|value| value * scale * scale).collect::<Vec<f64>>();
+        let lacking = given_back(&noise.lacking(&dark, ACF_LAGS));
+        Some(Slow { variances: given_back(&noise.variances), fast, dark, lacking })
     }
 
     /// Variance of a record as a function of level and slope. What grows with the light may come from pulses that are
@@ -129,7 +139,7 @@ impl Judges<'_> {
                 .iter()
                 .filter_map(|fast| fast.get(n))
                 .fold((0.0, 0), |(sum, count), value| (sum + value * value, count + 1));
-            if count > 1 { sum / f64::from(count) } else { f64::NAN }
+            if count > 1 { sum / f64::from(count) + slow.lacking[0] } else { f64::NAN }
         };
         (0..self.mean.mean.len()).map(of_place).collect()
     }
@@ -140,28 +150,55 @@ pub struct Slow {
     variances: Vec<f64>,
     /// Each shot without it, from the mean's first place on.
     fast: Vec<Vec<f64>>,
+    /// Where the mean is dark.
+    dark: Vec<Range<usize>>,
+    /// Autocovariance that `fast` lacks there.
+    lacking: Vec<f64>,
 }
 
 impl Slow {
-    /// The fast noise of each shot where it is dark.
-    pub fn stretches(&self, dark: &Dark, mean: &Mean) -> Vec<Vec<f64>> {
-        let range = dark.of_mean(mean);
-        self.fast.iter().map(|fast| fast[range.start.min(fast.len())..range.end.min(fast.len())].to_vec()).collect()
+    /// The fast noise of each shot wherever the mean is dark: what noise of many time constants leaves above its slow
+    /// part, the few samples before light would not show.
+    fn stretches(&self) -> Vec<Vec<f64>> {
+        let stretch = |fast: &Vec<f64>, range: &Range<usize>| {
+            fast[range.start.min(fast.len())..range.end.min(fast.len())].to_vec()
+        };
+        self.fast.iter().flat_map(|fast| self.dark.iter().map(|range| stretch(fast, range))).collect()
     }
 }
 
+/// Stretches of dark places that tell all lags of the autocorrelation.
+fn dark_runs(is_dark: &[bool]) -> Vec<Range<usize>> {
+    let runs = is_dark.chunk_by(|a, b| a == b).scan(0, |end, run| {
+        *end += run.len();
+        Some((run[0], *end - run.len()..*end))
+    });
+    runs.filter(|(dark, run)| *dark && run.len() >= RUN_MIN).map(|(_, run)| run).collect()
+}
+
 impl Noise {
-    /// Of what the judges show: `stretches` of noise of theirs, and their `slow` noise.
-    pub fn of(judges: &Judges<'_>, stretches: &[Vec<f64>], slow: Option<Slow>) -> Self {
+    /// Of what the judges show: their `slow` noise, and `stretches` of noise where there is none.
+    pub fn of(judges: &Judges<'_>, stretches: impl FnOnce() -> Vec<Vec<f64>>, slow: Option<Slow>) -> Self {
         let Judges { shots, first, .. } = judges;
-        let noise = noise::estimate(stretches, ACF_LAGS);
+        let (stretches, noise) = match &slow {
+            Some(slow) => {
+                let stretches = slow.stretches();
+                let noise = noise::estimate_of_rest(&stretches, &slow.lacking);
+                (stretches, noise)
+            }
+            None => {
+                let stretches = stretches();
+                let noise = noise::estimate(&stretches, ACF_LAGS);
+                (stretches, noise)
+            }
+        };
         let gain_v = first.gain_v.abs();
         let model = (shots.len() >= MODEL_SHOTS_MIN).then(|| judges.model(slow.as_ref())).flatten();
         let slow_v2 = |slow: Slow| slow.variances.iter().map(|variance| variance * gain_v * gain_v).collect();
         let is_whole = shots.first().is_some_and(|(codes, _)| codes.is_whole());
         let step = if is_whole { shot_spread::step(shots).max(1.0) } else { 0.0 };
         // Two neighbouring codes alone do not tell how much noise there is: the level may lie between them.
-        let sd = if exceeds(stretches, step) { noise.sd } else { 0.0 };
+        let sd = if exceeds(&stretches, step) { noise.sd } else { 0.0 };
         let rounding = if is_whole { ROUNDING_ALIKE * step * step * dark::rounding_variance(sd / step) } else { 0.0 };
         Self {
             sd_v: noise.sd * gain_v,

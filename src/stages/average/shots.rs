@@ -215,9 +215,7 @@ impl Shots {
         };
         // Of light that repeats, a record is cut and folded: its slow noise is not that of the profile.
         let slow = if self.darkness == Darkness::Anywhere { None } else { judges.slow() };
-        let stretches =
-            slow.as_ref().map_or_else(|| self.stretches(&passed, &mean), |slow| slow.stretches(&dark, &mean));
-        self.noise = Some(Noise::of(&judges, &stretches, slow));
+        self.noise = Some(Noise::of(&judges, || self.stretches(&passed, &mean), slow));
         self.head_mean = (!clipping).then(|| (self.whole.sums.shots(), mean));
     }
 
