@@ -106,6 +106,7 @@ fn sparse_fit(c: &mut Criterion) {
                     sd_v: &sd_v,
                     acf: &[1.0],
                     slow_v2: &[],
+                    jitter: None,
                     t0_ps: 0.0,
                     dt_ps: 50.0,
                 },

@@ -154,8 +154,15 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let response = Response::new(-60.0, 10.0, &[0.0, 1.0, 4.0, 9.0, 7.0, 4.0, 2.0, 1.0, 0.0]);
         let weights: Vec<f64> = (0..30).map(|n| if n == 12 { 0.0 } else { rng.random_range(0.5..2.0) }).collect();
-        let profile =
-            Profile { mean_v: &[0.0; 30], sd_v: &[1.0; 30], acf: &[1.0], slow_v2: &[], t0_ps: -7.0, dt_ps: 11.0 };
+        let profile = Profile {
+            mean_v: &[0.0; 30],
+            sd_v: &[1.0; 30],
+            acf: &[1.0],
+            slow_v2: &[],
+            jitter: None,
+            t0_ps: -7.0,
+            dt_ps: 11.0,
+        };
         let dictionary = Dictionary::new(&profile, &response, 4.0, &weights);
         let dense = |n: usize, j: usize| {
             weights[n] * response.value(-7.0 + 11.0 * n as f64 - (-7.0 - response.peak_ps() + 4.0 * j as f64))

@@ -261,7 +261,8 @@ mod tests {
             let y = noisy(&response, &pulses, 0.02, 300, &mut rng);
             let weights: Vec<f64> = sd_v.iter().map(|sd| 1.0 / sd).collect();
             let data: Vec<f64> = y.iter().zip(&weights).map(|(y, w)| y * w).collect();
-            let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+            let profile =
+                Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
             let dictionary = Dictionary::new(&profile, &response, 25.0, &weights);
             let x = solve(&dictionary, &data);
             // Karush, Kuhn and Tucker: no arrival wants to grow, and those that are there want nothing.
@@ -283,7 +284,8 @@ mod tests {
         let mut y = noisy(&response, &truth, 0.005, 300, &mut rng);
         let mut sd_v = vec![0.005; 300];
         (y[183], sd_v[183]) = (55.0, f64::INFINITY);
-        let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+        let profile =
+            Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
         for step_ps in [20.0, 25.0, 37.0] {
             let options = NnlsOptions { step_ps: Some(step_ps), ..NnlsOptions::default() };
             let solution = fit(&profile, &response, &options).pruned(&profile, &response, 20.0);

@@ -165,7 +165,8 @@ mod tests {
     #[test]
     fn an_iteration_is_the_formula_and_keeps_the_sum_of_the_light() {
         let y: Vec<f64> = (0..80).map(|n| gaussian(50.0 * f64::from(n) - 2000.0) + 0.1).collect();
-        let profile = Profile { mean_v: &y, sd_v: &[0.1; 80], acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+        let profile =
+            Profile { mean_v: &y, sd_v: &[0.1; 80], acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
         let response = response();
         let options = |iterations_max| RichardsonLucyOptions {
             iterations_max,
@@ -198,7 +199,8 @@ mod tests {
             .collect();
         let at = |sd: f64| {
             let sd_v = vec![sd; 120];
-            let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+            let profile =
+                Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
             let options = RichardsonLucyOptions::default();
             (fit(&profile, &response(), &options), deconvolve(&profile, &response(), &options).iterations)
         };

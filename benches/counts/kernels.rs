@@ -133,8 +133,15 @@ fn sparse_fit() -> Kernel {
     let mean_v: Vec<f64> = (0..400).map(|n| value(f64::from(n) * 50.0)).collect();
     let sd_v = vec![0.005; 400];
     Box::new(move || {
-        let profile =
-            Profile { mean_v: black_box(&mean_v), sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+        let profile = Profile {
+            mean_v: black_box(&mean_v),
+            sd_v: &sd_v,
+            acf: &[1.0],
+            slow_v2: &[],
+            jitter: None,
+            t0_ps: 0.0,
+            dt_ps: 50.0,
+        };
         black_box(sparse::fit(&profile, &response, &SparseOptions::default()));
     })
 }

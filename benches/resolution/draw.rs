@@ -66,7 +66,7 @@ pub fn fit(response: &Response, samples: &[f64], sd: f64, options: &SparseOption
 
 /// A record that begins at 0.
 pub fn profile<'a>(mean_v: &'a [f64], sd_v: &'a [f64], acf: &'a [f64]) -> Profile<'a> {
-    Profile { mean_v, sd_v, acf, slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS }
+    Profile { mean_v, sd_v, acf, slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: DT_PS }
 }
 
 /// Errors of `fit`'s times if it has as many pulses as the truth.

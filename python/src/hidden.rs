@@ -258,7 +258,7 @@ pub fn matched_filter(
         given_ps.iter().map(|time_ps| Given { time_ps: *time_ps, width_ps: 0.0, open: Open::Time }).collect();
     let response = &response.get().0;
     let result = interruptible_unless(mean.len().max(at_ps.len()) <= FEW, py, |cancel| {
-        let profile = Profile { mean_v: &mean, sd_v: &sd, acf: &acf, slow_v2: &[], t0_ps, dt_ps };
+        let profile = Profile { mean_v: &mean, sd_v: &sd, acf: &acf, slow_v2: &[], jitter: None, t0_ps, dt_ps };
         matched(&profile, response, &given, width_ps, at_ps.iter().copied(), cancel)
     })?;
     Ok((vector(py, result.scores), vector(py, result.gains)))

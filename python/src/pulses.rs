@@ -180,7 +180,7 @@ pub fn deconvolve(
     let options = options(baseline, evidence_min, pulses_max, signed, extent_max_ps)?;
     let response = &response.get().0;
     let fit = interruptible_unless(mean.len() <= FEW, py, |cancel| {
-        let profile = Profile { mean_v: &mean, sd_v: &sd, acf: &acf, slow_v2: &[], t0_ps, dt_ps };
+        let profile = Profile { mean_v: &mean, sd_v: &sd, acf: &acf, slow_v2: &[], jitter: None, t0_ps, dt_ps };
         sparse::fit(&profile, response, &SparseOptions { cancel: cancel.clone(), ..options })
     })?;
     Pulses::of(py, fit)

@@ -3,7 +3,7 @@
 use super::calibration::{self, Calibrated};
 use super::corrections::Correction;
 use super::sensor_range::SensorRange;
-use crate::signal::sparse;
+use crate::signal::sparse::{self, Jitter};
 use crate::tables::{Profile, Session};
 
 /// Samples of a profile, turned upwards, with pick-up, latency and drift taken off.
@@ -16,6 +16,8 @@ pub struct FlightProfile {
     pub acf: Vec<f64>,
     /// Variances of the components of slow noise in the means.
     pub slow_v2: Vec<f64>,
+    /// Scatter of the times of the shots.
+    pub jitter: Option<Jitter>,
     /// Time of flight at the first sample.
     pub t0_ps: f64,
     /// Time between samples.
@@ -46,6 +48,7 @@ impl FlightProfile {
             sd_v,
             acf: acf(profile),
             slow_v2: calibration::slow_v2(profile),
+            jitter: jitter(profile),
             t0_ps: profile.t0_ps - sensor.latency_ps - correction.drift_ps,
             dt_ps: profile.dt_ps,
             drift_sd_ps: correction.drift_sd_ps,
@@ -54,9 +57,15 @@ impl FlightProfile {
 
     /// The same as the kernel takes it.
     pub fn view(&self) -> sparse::Profile<'_> {
-        let Self { mean_v, sd_v, acf, slow_v2, t0_ps, dt_ps, .. } = self;
-        sparse::Profile { mean_v, sd_v, acf, slow_v2, t0_ps: *t0_ps, dt_ps: *dt_ps }
+        let Self { mean_v, sd_v, acf, slow_v2, jitter, t0_ps, dt_ps, .. } = self;
+        sparse::Profile { mean_v, sd_v, acf, slow_v2, jitter: *jitter, t0_ps: *t0_ps, dt_ps: *dt_ps }
     }
+}
+
+/// That of single shots, whose mean has its `jitter_ps`.
+fn jitter(profile: &Profile) -> Option<Jitter> {
+    let shots = f64::from(profile.shots);
+    (profile.jitter_ps > 0.0).then(|| Jitter { sd_ps: profile.jitter_ps * shots.sqrt(), shots })
 }
 
 /// Autocorrelation of the noise; white where it is no more than the rounding of the samples.

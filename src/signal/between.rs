@@ -297,7 +297,7 @@ mod tests {
     }
 
     fn profile<'a>(mean_v: &'a [f64], sd_v: &'a [f64]) -> Profile<'a> {
-        Profile { mean_v, sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS }
+        Profile { mean_v, sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: DT_PS }
     }
 
     fn pair(height_v: f64) -> Pair<'static> {

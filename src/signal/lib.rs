@@ -21,7 +21,7 @@
 //!     .map(|n| 50.0 * f64::from(n))
 //!     .map(|time_ps| 0.002 + 0.8 * pulse(2000.0, time_ps) + 0.5 * pulse(2040.0, time_ps))
 //!     .collect();
-//! let profile = Profile { mean_v: &mean_v, sd_v: &[0.0005; 100], acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+//! let profile = Profile { mean_v: &mean_v, sd_v: &[0.0005; 100], acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
 //!
 //! let fit = sparse::fit(&profile, &response, &SparseOptions::default());
 //! for (k, pulse) in fit.pulses.iter().enumerate() {
@@ -43,7 +43,8 @@
 //! | [`pickup`] | pick-up that is synchronous with the laser |
 //! | [`noise`], [`noise_model`], [`whiten`] | standard deviation and autocorrelation of samples |
 //! | [`dark`] | where a record has no light |
-//! | [`shot_spread`] | outlying shots |
+//! | [`outlying`] | outlying shots |
+//! | [`shot_spread`] | how shots differ from their mean |
 //! | [`oversample`], [`response`], [`averaged_response`], [`echo`] | the impulse response of a sensor |
 //! | [`echoes`] | single shots of a lidar: echoes of free width of the outgoing pulse |
 //! | [`sparse`] | deconvolution into pulses by maximum likelihood, for volts and for photon counts |
@@ -87,6 +88,7 @@ pub mod merge_ranges;
 pub mod noise;
 pub mod noise_model;
 pub mod onset;
+pub mod outlying;
 pub mod oversample;
 pub mod pickup;
 pub mod pulse_fit;

@@ -1,4 +1,4 @@
-//! How shots of one capture differ from their mean, and which of them differ too much.
+//! How shots of one capture differ from their mean.
 
 use super::average::{Mean, PHASES};
 use super::block_means::BlockMeans;
@@ -10,14 +10,8 @@ use super::widest::widest;
 
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
 pub const HEAD_SHOTS: usize = 32;
-/// Fewer shots say nothing about outliers.
-const JUDGES_MIN: usize = 8;
 /// Blocks whose samples are compared at once, so that what is between stays in the nearest cache.
 const STRETCH_BLOCKS: usize = 64;
-/// Largest standard deviation, in steps of the converter, of noise whose median deviation after rounding may be 0:
-/// 0.5 / 0.6745, since half of normal values lie within 0.6745 standard deviations.
-const QUIET_SD: f64 = 0.741;
-
 /// How shots of one capture differ from their mean: what one pass over each shows.
 #[derive(Clone, Debug)]
 pub struct Spread {
@@ -232,73 +226,6 @@ fn compare(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark, mut each: impl 
     }
 }
 
-/// Finds outlying shots: those with a sample further from the median of the first shots than noise and the rounding to
-/// whole samples explain.
-#[derive(Clone, Debug)]
-pub struct OutlierTest {
-    first: i64,
-    dark: Dark,
-    low: Vec<f64>,
-    high: Vec<f64>,
-}
-
-impl OutlierTest {
-    /// From the first shots, whose baselines are their `dark` samples; `sigma` robust standard deviations are allowed.
-    /// `None` with fewer than eight shots, or none that overlap.
-    #[must_use]
-    pub fn new(shots: &[(Codes<'_>, i64)], dark: Dark, sigma: f64) -> Option<Self> {
-        if shots.len() < JUDGES_MIN {
-            return None;
-        }
-        let shifted: Vec<(i64, Vec<f64>)> = shots
-            .iter()
-            .map(|(codes, position)| (nearest(*position), without_baseline(*codes, *position, &dark)))
-            .collect();
-        // Where most shots begin and end: single shots far off do not shrink the test.
-        let first = middle(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
-        let count = shots[0].0.len();
-        let mut median = vec![0.0; count];
-        let mut deviations = Vec::with_capacity(count);
-        let mut column = Vec::with_capacity(shots.len());
-        for (n, median) in median.iter_mut().enumerate() {
-            column.clear();
-            column.extend(
-                shifted
-                    .iter()
-                    .filter_map(|(whole, values)| values.get(usize::try_from(first + n as i64 - whole).ok()?)),
-            );
-            if column.len() < JUDGES_MIN {
-                return None;
-            }
-            *median = middle(&mut column);
-            column.iter_mut().for_each(|value| *value = (*value - *median).abs());
-            deviations.push(middle(&mut column));
-        }
-        // A median deviation of 0 says only that half of the normal noise lies within half a step.
-        let scale = (1.4826 * middle(&mut deviations)).max(QUIET_SD * step(shots));
-        let slope = |n: usize| {
-            let neighbour = |m: usize| (median[m.min(count - 1)] - median[n]).abs();
-            neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
-        };
-        let margin: Vec<f64> = (0..count).map(|n| sigma * scale + slope(n)).collect();
-        let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
-        let high = median.iter().zip(&margin).map(|(median, margin)| median + margin).collect();
-        Some(Self { first, dark, low, high })
-    }
-
-    /// Whether a shot lies outside, at any sample.
-    #[must_use]
-    pub fn is_outlier(&self, codes: Codes<'_>, position: i64) -> bool {
-        let offset = nearest(position) - self.first;
-        let (from, at) = ((-offset).max(0) as usize, offset.max(0) as usize);
-        if from >= codes.len() || at >= self.low.len() {
-            return true;
-        }
-        let own = codes.slice(self.dark.range(codes.len(), position)).mean();
-        codes.slice(from..codes.len()).leaves(&self.low[at..], &self.high[at..], own)
-    }
-}
-
 /// Smallest difference of neighbouring samples: converters of fewer bits than their codes have count in steps of
 /// several codes. 0 where samples do not differ.
 #[must_use]
@@ -320,24 +247,6 @@ pub fn step(shots: &[(Codes<'_>, i64)]) -> f64 {
 }
 
 /// The whole place next to a position in phases.
-fn nearest(position: i64) -> i64 {
-    (position + PHASES as i64 / 2).div_euclid(PHASES as i64)
-}
-
-fn without_baseline(codes: Codes<'_>, position: i64, dark: &Dark) -> Vec<f64> {
-    let mut values = codes.to_f64();
-    let of_shot = &values[dark.range(values.len(), position)];
-    let own = of_shot.iter().sum::<f64>() / of_shot.len() as f64;
-    values.iter_mut().for_each(|value| *value -= own);
-    values
-}
-
-/// The upper median; reorders the values.
-fn middle(values: &mut [f64]) -> f64 {
-    let half = values.len() / 2;
-    *values.select_nth_unstable_by(half, f64::total_cmp).1
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -425,48 +334,5 @@ mod tests {
             let mean = variances.iter().sum::<f64>() / variances.len() as f64;
             assert!((mean - 1.0).abs() < 0.02, "{phases} phases: {mean}");
         }
-    }
-
-    /// Noise of a step or less, at any level between two: its median deviation is 0 or 1 step, whatever its sd. Steps
-    /// are of one code, or of 16.
-    #[test]
-    fn good_shots_with_little_noise_are_not_rejected() {
-        let mut rng = ChaCha8Rng::seed_from_u64(1);
-        for (noise, step) in [(0.3, 1.0), (0.5, 1.0), (0.65, 1.0), (0.74, 1.0), (1.0, 1.0), (0.5, 16.0), (0.7, 16.0)] {
-            let mut wrong = 0;
-            for _ in 0..10 {
-                let level = rng.random_range(-0.5..0.5);
-                let mut code = || -> [u8; 2] {
-                    let normal: f64 = StandardNormal.sample(&mut rng);
-                    ((step * (level + noise * normal).round()) as i16).to_le_bytes()
-                };
-                let mut shot = || -> Vec<u8> { (0..500).flat_map(|_| code()).collect() };
-                let head: Vec<Vec<u8>> = (0..HEAD_SHOTS).map(|_| shot()).collect();
-                let views: Vec<(Codes<'_>, i64)> = head.iter().map(|bytes| (Codes::I16(bytes), 0)).collect();
-                let test = OutlierTest::new(&views, Dark::at_start(32), 6.0).expect("enough shots");
-                wrong += (0..100).filter(|_| test.is_outlier(Codes::I16(&shot()), 0)).count();
-            }
-            assert!(wrong <= 1, "noise {noise}: {wrong} of 1000");
-        }
-    }
-
-    /// A pulse hardly wider than a sample, thousands of times its noise, at any phase of the samples.
-    #[test]
-    fn good_shots_of_a_fast_and_strong_pulse_are_not_rejected() {
-        let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let mut shot = || -> (Vec<u8>, i64) {
-            let phase = rng.random_range(0..PHASES as i64);
-            let mut code = |n: usize| -> [u8; 2] {
-                let late = (n as f64 + phase as f64 / PHASES as f64 - 100.0) / 0.8;
-                let normal: f64 = StandardNormal.sample(&mut rng);
-                ((3000.0 * (-0.5 * late * late).exp() + normal).round() as i16).to_le_bytes()
-            };
-            ((0..200).flat_map(&mut code).collect(), phase)
-        };
-        let head: Vec<(Vec<u8>, i64)> = (0..HEAD_SHOTS).map(|_| shot()).collect();
-        let views: Vec<(Codes<'_>, i64)> = head.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
-        let test = OutlierTest::new(&views, Dark::at_start(32), 6.0).expect("enough shots");
-        let wrong = (0..1000).map(|_| shot()).filter(|(bytes, at)| test.is_outlier(Codes::I16(bytes), *at)).count();
-        assert!(wrong <= 2, "{wrong} of 1000");
     }
 }

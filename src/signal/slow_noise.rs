@@ -378,7 +378,7 @@ mod tests {
                 let fast: Vec<Vec<f64>> =
                     fast.iter().map(|shot| shot.iter().enumerate().map(|(n, v)| masked(n) * v).collect()).collect();
                 let share = dark.iter().filter(|dark| **dark).count() as f64 / LEN as f64;
-                let places = if lit.is_empty() { vec![0..LEN] } else { vec![0..lit.start, lit.end..LEN] };
+                let places = [0..lit.start, lit.end..LEN];
                 let left = variance(&fast) / share + slow.lacking(&places, 1)[0];
                 assert!((left - 1.0).abs() < 0.07, "{height} {turns} {lit:?}: {left}");
                 // Less than a turn is an offset in part, and where a part is lit, a part of a turn is seen.

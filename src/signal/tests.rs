@@ -46,7 +46,8 @@ fn record(samples: usize) -> Vec<f64> {
 fn sparse_ends_within_a_long_record() {
     let (mean_v, sd_v) = (record(1_000_000), vec![SD_V; 1_000_000]);
     for acf in [&[1.0][..], &[1.0, 0.6, 0.3, 0.1]] {
-        let profile = Profile { mean_v: &mean_v, sd_v: &sd_v, acf, slow_v2: &[], t0_ps: 0.0, dt_ps: 10.0 };
+        let profile =
+            Profile { mean_v: &mean_v, sd_v: &sd_v, acf, slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 10.0 };
         ends_soon(|cancel| {
             fit(&profile, &gaussian(), &SparseOptions { cancel: cancel.clone(), ..SparseOptions::default() })
         });
@@ -66,7 +67,8 @@ fn counts_end_within_a_long_histogram() {
 #[test]
 fn matched_filters_end_between_times() {
     let (mean_v, sd_v) = (record(200_000), vec![SD_V; 200_000]);
-    let profile = Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: 0.0, dt_ps: 10.0 };
+    let profile =
+        Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 10.0 };
     let given: Vec<Given> =
         (1..60).map(|n| Given { time_ps: f64::from(n) * 20_000.0, width_ps: 0.0, open: Open::Time }).collect();
     let times_ps = (0..2_000_000).map(f64::from);

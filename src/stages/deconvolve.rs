@@ -180,7 +180,7 @@ struct Ready {
 
 impl Stage for Deconvolve {
     const KIND: &'static str = "deconvolve";
-    const VERSION: u32 = 15;
+    const VERSION: u32 = 16;
     const GRAIN: Grain = Grain::Pair;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },

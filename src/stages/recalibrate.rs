@@ -4,7 +4,8 @@
 //! A response captured another day, at another bias or behind another cable is some per cent wider or narrower, or has
 //! an echo or a tail. One profile can hardly tell that from light; many together can, since light arrives at other
 //! distances in each. The first profiles of a sensor and range are explained under the response as it is, weak pulses
-//! last, and what all of them leave in common corrects it: its width, or its whole shape after the maximum. The
+//! last, and what all of them leave in common corrects it: its width, a blur to either side (as jitter of the trigger or a slower
+//! amplifier make), or that and its shape after the maximum. The
 //! calibration stands where it explains the profiles as well, where they are too few, and where what they leave differs
 //! from profile to profile: patches that spread light each in their own way are no property of the sensor.
 //!
@@ -93,7 +94,7 @@ pub struct State {
 
 impl Stage for Recalibrate {
     const KIND: &'static str = "recalibrate";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::Sensor;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "calibration", table: "calibration", required: true },
@@ -165,7 +166,7 @@ impl Recalibrate {
         let Some(own) = self.own_response(context, &errors, &records).filter(OwnResponse::is_common) else {
             return stands();
         };
-        with_response(row, &calibrated, &errors.response(&own.coefficients), &own)
+        with_response(row, &calibrated, &errors, &own)
     }
 
     fn own_response(
@@ -205,8 +206,15 @@ fn ready<'a>(
 }
 
 /// The row with another response. Its arrival stays where it was, since no profile shows it: it is known to half of
-/// what the response became wider or narrower.
-fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response, own: &OwnResponse) -> Calibration {
+/// what the response became wider or narrower, and no better than what that moves pulses by.
+fn with_response(
+    row: &Calibration,
+    calibrated: &Calibrated,
+    errors: &ResponseErrors,
+    own: &OwnResponse,
+) -> Calibration {
+    let response = errors.response(&own.coefficients);
+    let moved_ps = (0.5 * (response.width_ps() - row.width_ps)).abs().max(errors.delay_ps(&response).abs());
     let (first_ps, last_ps) = response.support_ps();
     let (first, last) = ((first_ps / row.step_ps).floor(), (last_ps / row.step_ps).ceil());
     let height = response.height();
@@ -216,7 +224,7 @@ fn with_response(row: &Calibration, calibrated: &Calibrated, response: &Response
     Calibration {
         response_t0_ps: first * row.step_ps,
         response: values.collect(),
-        latency_sd_ps: row.latency_sd_ps.hypot(0.5 * (response.width_ps() - row.width_ps)),
+        latency_sd_ps: row.latency_sd_ps.hypot(moved_ps),
         width_ps: response.width_ps(),
         width_sd_ps: own.width.map_or(row.width_sd_ps, |[_, sd]| Some(response.width_ps() * sd)),
         scene_width: own.width.map(|[width, _]| width),

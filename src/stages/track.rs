@@ -253,6 +253,7 @@ fn delay(profile: &Profile, sensor: &Calibrated, cancel: &Cancel) -> Option<(f64
         sd_v: &sd_v,
         acf: &acf,
         slow_v2: &[],
+        jitter: None,
         t0_ps: profile.t0_ps,
         dt_ps: profile.dt_ps,
     };

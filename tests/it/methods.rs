@@ -102,6 +102,7 @@ fn compared(method: Method, raw: &[Stir], profiles: &[Profile], calibration: &Ca
             sd_v: &sd_v,
             acf: &[1.0],
             slow_v2: &[],
+            jitter: None,
             t0_ps: stir.t0_ps,
             dt_ps: stir.dt_ps,
         };

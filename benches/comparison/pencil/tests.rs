@@ -21,7 +21,8 @@ fn poles_without_noise_are_the_times() {
             .map(|n| truth.iter().map(|(at, a)| a * gaussian(-130.0 + 50.0 * f64::from(n) - at)).sum())
             .collect();
         let sd_v = vec![1e-6; y.len()];
-        let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: -130.0, dt_ps: 50.0 };
+        let profile =
+            Profile { mean_v: &y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: -130.0, dt_ps: 50.0 };
         let solution = fit(&profile, &response(), &PencilOptions { pulses: Some(4), ..PencilOptions::default() });
         for (k, (at_ps, a)) in truth.iter().enumerate() {
             assert!((solution.times_ps[k] - at_ps).abs() < 0.05, "{len}: {solution:?}");
@@ -44,7 +45,11 @@ fn the_covariance_is_what_a_change_of_the_samples_does() {
     let sd_v: Vec<f64> = (0..80).map(|_| rng.random_range(0.005..0.02)).collect();
     let two = PencilOptions { pulses: Some(2), ..PencilOptions::default() };
     let times = |y: &[f64]| {
-        fit(&Profile { mean_v: y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 }, &response(), &two)
+        fit(
+            &Profile { mean_v: y, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 },
+            &response(),
+            &two,
+        )
     };
     let solution = times(&y);
     let mut expected = [0.0; 4];
@@ -70,7 +75,8 @@ fn the_number_of_threads_changes_no_bit() {
             (1..20).map(|k| gaussian(50.0 * f64::from(n) - 2000.0 * f64::from(k))).sum::<f64>() + 0.01 * normal
         })
         .collect();
-    let profile = Profile { mean_v: &y, sd_v: &[0.01; 800], acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+    let profile =
+        Profile { mean_v: &y, sd_v: &[0.01; 800], acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
     let options = PencilOptions { pulses: Some(19), ..PencilOptions::default() };
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
@@ -93,7 +99,15 @@ fn noise_has_no_pulse_and_far_pulses_are_counted() {
                 light * (gaussian(t - 2000.0) + gaussian(t - 2400.0) + gaussian(t - 3500.0)) + 0.02 * normal
             })
             .collect();
-        let profile = Profile { mean_v: &y, sd_v: &[0.02; 120], acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 };
+        let profile = Profile {
+            mean_v: &y,
+            sd_v: &[0.02; 120],
+            acf: &[1.0],
+            slow_v2: &[],
+            jitter: None,
+            t0_ps: 0.0,
+            dt_ps: 50.0,
+        };
         let count = fit(&profile, &response, &PencilOptions::default()).times_ps.len();
         false_pulses += usize::from(light == 0.0 && count > 0);
         counted += usize::from(light > 0.0 && count == 3);

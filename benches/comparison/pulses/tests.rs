@@ -42,7 +42,8 @@ fn cell(draws: usize, snr: f64, distance_ps: f64, method: impl Fn(&Profile, &Res
                 gaussian(t - first_ps) + gaussian(t - second_ps) + normal / snr
             })
             .collect();
-        let profile = Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS };
+        let profile =
+            Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: DT_PS };
         let near = |t_ps: f64, at_ps: f64| (t_ps - at_ps).abs() < distance_ps / 2.0;
         let Some(solution) = method(&profile, &response) else { continue };
         if let [a, b] = solution.times_ps[..]

@@ -3,8 +3,9 @@
 use super::*;
 use crate::averaged_response::averaged_response;
 use crate::dark::Dark;
+use crate::outlying::OutlierTest;
 use crate::response::Response;
-use crate::shot_spread::{OutlierTest, Spread};
+use crate::shot_spread::Spread;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

@@ -21,8 +21,9 @@ use super::greedy::{Fitter, Slope};
 use super::joint::{Common, run};
 use super::model::Model;
 use super::nuisance::slow_direction;
+use super::scatter::{self, Direction};
 use super::state::State;
-use super::{Baseline, Profile, Response, SparseFit, SparseOptions};
+use super::{Baseline, Jitter, Profile, Response, SparseFit, SparseOptions};
 
 /// Score from which another width is tried: of pulses that stand alone; of pulses that blend, whose distance looks like
 /// a width. And score from which a width is moved on once it was taken.
@@ -44,6 +45,8 @@ const COMPONENTS_MAX: usize = 64;
 const SAMPLES_PER_COMPONENT: usize = 8;
 /// Part of a component that pulses, line and slow noise must leave for it to count.
 const NEW: f64 = 0.05;
+/// Fits from which the scatter of the shots' times is taken: the first may have split a pulse that it blurred.
+const SCATTER_ROUNDS: usize = 2;
 /// Attempts at most.
 pub(super) const ATTEMPTS: usize = 6;
 
@@ -54,6 +57,8 @@ struct Cause {
     ground_v2: Vec<f64>,
     /// Logarithm of the width's factor.
     stretch: f64,
+    /// What the scatter of the shots' times makes of the pulses.
+    scatter: Vec<Direction>,
 }
 
 /// A change of one record's cause, and the chi2 that it promises.
@@ -71,6 +76,8 @@ struct Attempt {
     /// Chi2, with all that pulses and causes cost.
     cost: f64,
     hints: Vec<Hint>,
+    /// What the scatter of the shots' times makes of these pulses, record by record.
+    scatter: Vec<Vec<Direction>>,
 }
 
 /// Pulses of the records, under the causes that explain them best.
@@ -83,6 +90,13 @@ pub(super) fn explain(
     let attempt = |causes: &[Cause]| Attempt::new(records, options, shared_amplitudes, evidence_min, causes);
     let mut causes = vec![Cause::default(); records.len()];
     let mut best = attempt(&causes);
+    for _ in 0..SCATTER_ROUNDS {
+        if best.scatter.iter().all(Vec::is_empty) {
+            break;
+        }
+        causes.iter_mut().zip(best.scatter).for_each(|(cause, scatter)| cause.scatter = scatter);
+        best = attempt(&causes);
+    }
     if options.baseline != Baseline::Line {
         return best.fits;
     }
@@ -126,7 +140,8 @@ impl Attempt {
             .map(|((profile, _), (slow_v2, response))| (Profile { slow_v2, ..*profile }, response))
             .collect();
         let means_v: Vec<&[f64]> = records.iter().map(|(profile, _)| profile.mean_v).collect();
-        let model = Model::new(&supposed, options, shared_amplitudes);
+        let mut model = Model::new(&supposed, options, shared_amplitudes);
+        scatter::add(&mut model, causes.iter().map(|cause| cause.scatter.as_slice()));
         let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max).starting_from(&options.predictions);
         let (state, evidences) = fitter.grown();
         let widths: Vec<Option<Width>> =
@@ -163,7 +178,8 @@ impl Attempt {
             fit.ground_v = cause.ground_v2.iter().sum::<f64>().sqrt();
             fit.width = width.as_ref().map(|width| width.shown);
         }
-        Self { fits, cost, hints }
+        let jitters: Vec<Option<Jitter>> = records.iter().map(|(profile, _)| profile.jitter).collect();
+        Self { fits, cost, hints, scatter: scatter::directions(&fitter, &state, &jitters) }
     }
 }
 

@@ -78,6 +78,11 @@ impl Column {
         Self { first: 0, samples, shape: Vec::new() }
     }
 
+    /// Its values, from the record's start on, for a [`Self::sum`].
+    pub(super) fn values(&self) -> Vec<f64> {
+        self.samples.iter().map(|sample| sample[0]).collect()
+    }
+
     fn of_point(record: &WhitenedRecord, time_ps: f64, shape: impl Fn(f64) -> [f64; 2]) -> Self {
         let range = record.response.reach(time_ps, record.t0_ps, record.dt_ps, record.len());
         let (first, samples) = sample(record, time_ps, range, shape);

@@ -121,7 +121,8 @@ fn fit_with(
     options: &SparseOptions,
 ) -> SparseFit {
     let sd_v: Vec<f64> = histogram.variances(means).iter().map(|v| v.sqrt()).collect();
-    let profile = Profile { mean_v: &histogram.counts, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps, dt_ps };
+    let profile =
+        Profile { mean_v: &histogram.counts, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps, dt_ps };
     let threshold = options.evidence_min.unwrap_or_else(|| evidence_min_of(&profile, response, FALSE_PULSES));
     assert!(threshold > 0.0, "the evidence must be positive");
     // Dark counts are as many in every bin.

@@ -154,7 +154,7 @@ mod tests {
     }
 
     fn profile<'a>(mean_v: &'a [f64], sd_v: &'a [f64]) -> Profile<'a> {
-        Profile { mean_v, sd_v, acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: 50.0 }
+        Profile { mean_v, sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 }
     }
 
     /// Score and gain are those of least squares with a line, the given pulse and its slope, whatever the given

@@ -26,6 +26,8 @@
 //! A baseline that moves the same way in every shot, and a response of another width than the calibration's, are tried
 //! where a record asks for them. Many records together show another shape of it, an echo or a tail: [`ResponseErrors`].
 //!
+//! Where shots come early and late, the shape of the mean of finitely many scatters too ([`Jitter`]).
+//!
 //! Not modelled: light wrapped around the end of the record; in one record, a response of another shape. Its error
 //! shows as `chi2_per_dof` above 1 and, near strong pulses, as false pulses. Where its size is known, adding it
 //! to the sd of the samples under a strong pulse keeps both away.
@@ -48,6 +50,7 @@ mod place;
 mod prediction;
 mod projection;
 mod refine;
+mod scatter;
 mod search;
 mod state;
 #[cfg(test)]
@@ -65,6 +68,7 @@ pub use own_response::{OwnResponse, ResponseErrors, ResponseScore};
 pub use pair::Pair;
 use place::Place;
 pub use prediction::Prediction;
+pub use scatter::Jitter;
 
 /// Standard deviation of the logarithm of a response's width that was calibrated another day.
 pub const WIDTH_SD: f64 = 0.03;
@@ -85,6 +89,9 @@ pub struct Profile<'a> {
     /// Variances of the components of slow noise in the means, V^2 ([`super::slow_noise::component`]), on top of the
     /// noise above; nothing for none.
     pub slow_v2: &'a [f64],
+    /// Scatter of the times of the shots behind the means, which the response has in it; `None` where all come at the
+    /// same.
+    pub jitter: Option<Jitter>,
     /// Time of the first sample, ps.
     pub t0_ps: f64,
     /// Time between samples, ps.

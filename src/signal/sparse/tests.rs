@@ -7,6 +7,7 @@ mod extended;
 mod joint;
 mod own_response;
 mod predictions;
+mod scatter;
 
 use super::*;
 use rand::{RngExt, SeedableRng};
@@ -63,7 +64,15 @@ fn with_noise(clean: &[f64], sd: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
 }
 
 fn fit_white(shape: &Shape, mean_v: &[f64], sd: f64, options: &SparseOptions) -> SparseFit {
-    let profile = Profile { mean_v, sd_v: &vec![sd; mean_v.len()], acf: &[], slow_v2: &[], t0_ps: T0_PS, dt_ps: DT_PS };
+    let profile = Profile {
+        mean_v,
+        sd_v: &vec![sd; mean_v.len()],
+        acf: &[],
+        slow_v2: &[],
+        jitter: None,
+        t0_ps: T0_PS,
+        dt_ps: DT_PS,
+    };
     fit(&profile, &shape.response, options)
 }
 
@@ -264,7 +273,7 @@ fn ignored_samples_do_not_count_and_noisy_ones_count_less() {
     for n in 20..30 {
         (y[n], sd_v[n]) = (0.5, 1.0);
     }
-    let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: T0_PS, dt_ps: DT_PS };
+    let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: T0_PS, dt_ps: DT_PS };
     let solution = fit(&profile, &shape.response, &SparseOptions::default());
     assert_eq!(solution.pulses.len(), 1);
     let sd = solution.covariance_ps2[0].sqrt();
@@ -289,7 +298,7 @@ fn an_inexact_response_shows_in_chi2_and_is_borne_by_its_own_variance() {
     assert!(fit_white(&shape, &y, 0.002, &SparseOptions::default()).pulses.len() > 1);
     let mut sd_v = vec![0.002; 120];
     sd_v[50..80].fill(0.02); // from 350 ps before the maximum to 400 ps behind
-    let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: T0_PS, dt_ps: DT_PS };
+    let profile = Profile { mean_v: &y, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: T0_PS, dt_ps: DT_PS };
     let solution = fit(&profile, &shape.response, &SparseOptions::default());
     assert_eq!(solution.pulses.len(), 1);
     assert!((solution.pulses[0].time_ps - 3000.0).abs() < 4.0 * solution.covariance_ps2[0].sqrt());

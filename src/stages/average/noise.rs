@@ -180,17 +180,10 @@ impl Noise {
     /// Of what the judges show: their `slow` noise, and `stretches` of noise where there is none.
     pub fn of(judges: &Judges<'_>, stretches: impl FnOnce() -> Vec<Vec<f64>>, slow: Option<Slow>) -> Self {
         let Judges { shots, first, .. } = judges;
-        let (stretches, noise) = match &slow {
-            Some(slow) => {
-                let stretches = slow.stretches();
-                let noise = noise::estimate_of_rest(&stretches, &slow.lacking);
-                (stretches, noise)
-            }
-            None => {
-                let stretches = stretches();
-                let noise = noise::estimate(&stretches, ACF_LAGS);
-                (stretches, noise)
-            }
+        let stretches = slow.as_ref().map_or_else(stretches, Slow::stretches);
+        let noise = match &slow {
+            Some(slow) => noise::estimate_of_rest(&stretches, &slow.lacking),
+            None => noise::estimate(&stretches, ACF_LAGS),
         };
         let gain_v = first.gain_v.abs();
         let model = (shots.len() >= MODEL_SHOTS_MIN).then(|| judges.model(slow.as_ref())).flatten();

@@ -15,7 +15,8 @@ use crate::signal::average::{Mean, PHASES, PhaseSums};
 use crate::signal::codes::Codes as Samples;
 use crate::signal::dark::{self, Dark, Scale};
 use crate::signal::noise;
-use crate::signal::shot_spread::{HEAD_SHOTS, OutlierTest, Spread};
+use crate::signal::outlying::OutlierTest;
+use crate::signal::shot_spread::{HEAD_SHOTS, Spread};
 use crate::tables::{Codes, Profile, Trace};
 
 /// What a record without a dark stretch has to do with its profile.

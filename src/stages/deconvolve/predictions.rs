@@ -63,6 +63,7 @@ mod tests {
             sd_v: Vec::new(),
             acf: Vec::new(),
             slow_v2: Vec::new(),
+            jitter: None,
             t0_ps: 1000.0,
             dt_ps: 50.0,
             drift_sd_ps: 0.0,

@@ -23,7 +23,15 @@ fn stir(pulses: &[(f64, f64)], response: &Response, rng: &mut ChaCha8Rng) -> Sti
             pulses.iter().map(|(time_ps, a)| a * gaussian(f64::from(n) * DT_PS - time_ps)).sum::<f64>() + noise
         })
         .collect();
-    let profile = Profile { mean_v: &mean_v, sd_v: &[1.0; 160], acf: &[1.0], slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS };
+    let profile = Profile {
+        mean_v: &mean_v,
+        sd_v: &[1.0; 160],
+        acf: &[1.0],
+        slow_v2: &[],
+        jitter: None,
+        t0_ps: 0.0,
+        dt_ps: DT_PS,
+    };
     let fit = sparse::fit(&profile, response, &SparseOptions::default());
     let count = fit.pulses.len();
     let impulse = |k: usize| Impulse {

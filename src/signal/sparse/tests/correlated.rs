@@ -65,6 +65,7 @@ fn onsets_in_correlated_noise_are_at_its_bound_with_honest_errors() {
                     sd_v: &vec![sd_v; len],
                     acf: &acf,
                     slow_v2: &[],
+                    jitter: None,
                     t0_ps: T0_PS,
                     dt_ps: STEP_PS,
                 };
@@ -95,8 +96,15 @@ fn false_pulses_in_correlated_noise_are_as_rare_as_promised() {
     let mut counts = [0, 0];
     for _ in 0..records {
         let y = pole_noise(1.0, len, &mut rng);
-        let correlated =
-            Profile { mean_v: &y, sd_v: &vec![1.0; len], acf: &acf, slow_v2: &[], t0_ps: T0_PS, dt_ps: STEP_PS };
+        let correlated = Profile {
+            mean_v: &y,
+            sd_v: &vec![1.0; len],
+            acf: &acf,
+            slow_v2: &[],
+            jitter: None,
+            t0_ps: T0_PS,
+            dt_ps: STEP_PS,
+        };
         for (count, profile) in counts.iter_mut().zip([correlated, Profile { acf: &[1.0], ..correlated }]) {
             let threshold = evidence_min_of(&profile, &shape.response, 1e-4) - 2.0 * 1000_f64.ln();
             let options = SparseOptions { evidence_min: Some(threshold), pulses_max: 1, ..SparseOptions::default() };
@@ -117,7 +125,15 @@ fn samples_to_be_ignored_do_not_matter_in_correlated_noise() {
     let mut sd_v = vec![sd; len];
     sd_v[124..130].fill(f64::INFINITY);
     let fit_of = |y: &[f64]| {
-        let profile = Profile { mean_v: y, sd_v: &sd_v, acf: &[1.0, PHI], slow_v2: &[], t0_ps: T0_PS, dt_ps: STEP_PS };
+        let profile = Profile {
+            mean_v: y,
+            sd_v: &sd_v,
+            acf: &[1.0, PHI],
+            slow_v2: &[],
+            jitter: None,
+            t0_ps: T0_PS,
+            dt_ps: STEP_PS,
+        };
         fit(&profile, &shape.response, &SparseOptions::default())
     };
     let before = fit_of(&y);
@@ -149,7 +165,15 @@ fn wander_makes_no_pulses_at_the_ends_of_a_record() {
     let sd_v = vec![sd; len];
     let found = records.iter().filter(|wander| {
         let mean_v = with_noise(wander, sd, &mut rng);
-        let profile = Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[], slow_v2: &slow_v2, t0_ps: 0.0, dt_ps: DT_PS };
+        let profile = Profile {
+            mean_v: &mean_v,
+            sd_v: &sd_v,
+            acf: &[],
+            slow_v2: &slow_v2,
+            jitter: None,
+            t0_ps: 0.0,
+            dt_ps: DT_PS,
+        };
         !fit(&profile, &shape.response, &SparseOptions::default()).pulses.is_empty()
     });
     let found = found.count();

@@ -16,7 +16,7 @@ pub(super) fn two_records(shape: &Shape, pulses: &[(f64, f64)], sd: f64, rng: &m
 }
 
 pub(super) fn profile<'a>(record: &'a (Vec<f64>, f64), sd_v: &'a [f64]) -> Profile<'a> {
-    Profile { mean_v: &record.0, sd_v, acf: &[], slow_v2: &[], t0_ps: record.1, dt_ps: DT_PS }
+    Profile { mean_v: &record.0, sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: record.1, dt_ps: DT_PS }
 }
 
 /// Times are better by the root of two, with amplitudes shared or not, and their sds say so.
@@ -53,7 +53,7 @@ fn a_record_twice_is_one_of_half_the_variance() {
     let y = with_noise(&clean(&shape, &[(2500.0, 1.0), (2620.0, 0.6)], 0.2, 120), 0.01, &mut rng);
     let options = SparseOptions { evidence_min: Some(25.0), ..SparseOptions::default() };
     let sd_v = [vec![0.01; 120], vec![0.01 / 2.0_f64.sqrt(); 120]];
-    let of = |sd_v| Profile { mean_v: &y, sd_v, acf: &[], slow_v2: &[], t0_ps: T0_PS, dt_ps: DT_PS };
+    let of = |sd_v| Profile { mean_v: &y, sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: T0_PS, dt_ps: DT_PS };
     let twice = fit_joint(&[(of(&sd_v[0]), &shape.response), (of(&sd_v[0]), &shape.response)], &options, true);
     let once = fit(&of(&sd_v[1]), &shape.response, &options);
     assert_eq!((twice[0].pulses.len(), once.pulses.len()), (2, 2));
@@ -74,8 +74,12 @@ fn amplitudes_may_differ() {
     let first = with_noise(&clean(&shape, &[(2000.0, 1.0), (3500.0, 0.5)], 0.0, 120), 0.01, &mut rng);
     let second = with_noise(&clean(&shape, &[(3500.0, 2.0)], 0.4, 120), 0.01, &mut rng);
     let sd_v = vec![0.01; 120];
-    let of =
-        |mean_v| (Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: T0_PS, dt_ps: DT_PS }, &shape.response);
+    let of = |mean_v| {
+        (
+            Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: T0_PS, dt_ps: DT_PS },
+            &shape.response,
+        )
+    };
     let solutions = fit_joint(&[of(&first), of(&second)], &SparseOptions::default(), false);
     let amplitudes: Vec<Vec<f64>> =
         solutions.iter().map(|f| f.pulses.iter().map(|p| p.amplitude_v).collect()).collect();
@@ -98,7 +102,10 @@ fn false_pulses_of_pairs_of_records_are_as_rare_as_promised() {
         for _ in 0..draws {
             let records = [0, 1].map(|_| with_noise(&vec![0.0; 500], 1.0, &mut rng));
             let of = |mean_v| {
-                (Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS }, &shape.response)
+                (
+                    Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: DT_PS },
+                    &shape.response,
+                )
             };
             let both = [of(&records[0]), of(&records[1])];
             let strict = fit_joint(&both, &SparseOptions { pulses_max: 0, ..SparseOptions::default() }, shared);

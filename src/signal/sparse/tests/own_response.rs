@@ -40,7 +40,8 @@ fn own_response(records: &[Vec<f64>], snr: f64, options: &SparseOptions) -> Opti
     let errors = ResponseErrors::new(&calibrated(), options.extent_max_ps > 0.0).expect("it is a pulse");
     errors.own_response(|coefficients, least_share| {
         let score = |mean_v: &Vec<f64>| {
-            let profile = Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], t0_ps: 0.0, dt_ps: DT_PS };
+            let profile =
+                Profile { mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: DT_PS };
             errors.score(&profile, coefficients, Response::clone, least_share, options)
         };
         records.iter().filter_map(score).collect()
@@ -59,6 +60,31 @@ fn another_width_is_found_within_its_error() {
             assert!((width - factor).abs() < 3.0 * sd && sd < 0.6 / snr, "{snr}, {factor}: {own:?}");
             assert!((shown / of_calibration - factor).abs() < 3.0 * sd && own.is_common(), "{snr}, {factor}: {own:?}");
         }
+    }
+}
+
+/// Shots that come early and late widen the response to either side: nothing moves.
+#[test]
+fn a_blur_is_told_from_another_width() {
+    for (snr, sd_ps) in [(50.0, 20.0), (200.0, 20.0), (200.0, 30.0)] {
+        let blurred = |t: f64| {
+            let nodes = (-40..=40).map(|n| 0.1 * f64::from(n));
+            let weighed = nodes.map(|x| ((-0.5 * x * x).exp(), diode(t - sd_ps * x)));
+            let (weights, sum) = weighed.fold((0.0, 0.0), |(w, s), (weight, value)| (w + weight, s + weight * value));
+            sum / weights
+        };
+        let own = own_response(&records(|t, _| blurred(t), snr, 60, 7), snr, &SparseOptions::default());
+        let own = own.expect("it shows");
+        let errors = ResponseErrors::new(&calibrated(), false).unwrap();
+        let shown = errors.response(&own.coefficients);
+        assert!(own.coefficients[0] == 0.0 && own.coefficients[1] > 0.0 && own.is_common(), "{snr}, {sd_ps}: {own:?}");
+        // As little as `recalibrate` says.
+        let (moved_ps, wider_ps) = (errors.delay_ps(&shown), shown.width_ps() - calibrated().width_ps());
+        assert!(moved_ps.abs() < 0.5 * wider_ps, "{snr}, {sd_ps}: {moved_ps} of {wider_ps}");
+        let peak_ps = shown.peak_ps() - moved_ps;
+        let off = |t: f64| (shown.value(t + moved_ps) / shown.height() - blurred(t) / blurred(peak_ps)).abs();
+        let off = (-4..20).map(|n| off(f64::from(n) * DT_PS)).fold(0.0, f64::max);
+        assert!(off < 0.02, "{snr}, {sd_ps}: {off}");
     }
 }
 
@@ -94,9 +120,10 @@ fn an_echo_and_a_tail_are_found() {
             let own = own_response(&records(|t, _| shape(t), 200.0, 60, seed), 200.0, options).expect("it shows");
             let errors = ResponseErrors::new(&calibrated(), options.extent_max_ps > 0.0).unwrap();
             let shown = errors.response(&own.coefficients);
-            // How high a response is, its pulses' amplitudes say.
-            let off = |t: f64| (shown.value(t) / shown.value(0.0) - shape(t) / shape(0.0)).abs();
-            let off = (0..40).map(|n| off(f64::from(n) * DT_PS)).fold(0.0, f64::max);
+            // How high a response is, its pulses' amplitudes say; when it arrives, nothing does.
+            let off_at = |t: f64, late: f64| (shown.value(t + late) / shown.height() - shape(t) / shape(0.0)).abs();
+            let most = |late: f64| (0..40).map(|n| off_at(f64::from(n) * DT_PS, late)).fold(0.0, f64::max);
+            let off = (-20..=20).map(|n| most(0.1 * f64::from(n))).fold(f64::INFINITY, f64::min);
             assert!(own.is_common() && off < 0.003, "{off}: {own:?}");
         }
     }
