@@ -21,7 +21,8 @@
 //!     .map(|n| 50.0 * f64::from(n))
 //!     .map(|time_ps| 0.002 + 0.8 * pulse(2000.0, time_ps) + 0.5 * pulse(2040.0, time_ps))
 //!     .collect();
-//! let profile = Profile { mean_v: &mean_v, sd_v: &[0.0005; 100], acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
+//! let sd_v = &[0.0005; 100];
+//! let profile = Profile { mean_v: &mean_v, sd_v, acf: &[1.0], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 50.0 };
 //!
 //! let fit = sparse::fit(&profile, &response, &SparseOptions::default());
 //! for (k, pulse) in fit.pulses.iter().enumerate() {

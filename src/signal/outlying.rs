@@ -168,7 +168,7 @@ mod tests {
         assert!(wrong <= 2, "{wrong} of 1000");
     }
 
-    /// Shots of a trigger that jitters are good ones, however late; those without light, or with twice as much, are not.
+    /// Shots of a trigger that jitters are good ones, however late; not so those without light, or with twice as much.
     #[test]
     fn late_shots_of_a_trigger_that_jitters_are_not_rejected() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);

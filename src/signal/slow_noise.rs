@@ -111,8 +111,8 @@ impl SlowNoise {
         differences.iter().zip(&self.amplitudes).map(of_shot).collect()
     }
 
-    /// Autocovariance, at so many lags, that what [`Self::fast`] leaves at these `places` lacks of fast noise: a part of
-    /// it was taken for slow noise, as much as the amplitudes are uncertain.
+    /// Autocovariance, at so many lags, that what [`Self::fast`] leaves at these `places` lacks of fast noise: a part
+    /// of it was taken for slow noise, as much as the amplitudes are uncertain.
     #[must_use]
     pub fn lacking(&self, places: &[Range<usize>], lags: usize) -> Vec<f64> {
         let (mut sums, mut pairs) = (vec![0.0; lags], vec![0.0; lags]);

@@ -35,7 +35,8 @@
 //! Photon counts are explained by the likelihood of counts, freed of pile-up by the dead time in campaign.toml;
 //! amplitudes are counts a bin.
 //!
-//! Under the impulses lie a line (bent, where there is slow noise) and that noise, explained together with them. Where
+//! Under the impulses lie a line (bent, where there is slow noise) and that noise, explained together with them; and
+//! where shots jitter, what finitely many of them do to the shape of their mean. Where
 //! noise does not explain a profile, a baseline that moves the same way in every shot is tried (`ground_v`), and where
 //! its pulses ask for it, a response of another width than the calibration's (`response_width`). Both are kept where
 //! the profile is the likelier for it, and their errors are in the covariance.

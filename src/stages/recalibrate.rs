@@ -4,10 +4,10 @@
 //! A response captured another day, at another bias or behind another cable is some per cent wider or narrower, or has
 //! an echo or a tail. One profile can hardly tell that from light; many together can, since light arrives at other
 //! distances in each. The first profiles of a sensor and range are explained under the response as it is, weak pulses
-//! last, and what all of them leave in common corrects it: its width, a blur to either side (as jitter of the trigger or a slower
-//! amplifier make), or that and its shape after the maximum. The
-//! calibration stands where it explains the profiles as well, where they are too few, and where what they leave differs
-//! from profile to profile: patches that spread light each in their own way are no property of the sensor.
+//! last, and what all of them leave in common corrects it: its width, or a blur to either side (jitter of the trigger,
+//! a slower amplifier), and with either its shape after the maximum. The calibration stands where it explains the
+//! profiles as well, where they are too few, and where what they leave differs from profile to profile: patches that
+//! spread light each in their own way are no property of the sensor.
 //!
 //! Takes `profiles` and `calibration`; writes `calibration` of the sensors that it has profiles of, with
 //! `scene_width`, `scene_width_sd`, `scene_tail` and `scene_evidence` where it corrected one. Set `extent_max_ps` as in

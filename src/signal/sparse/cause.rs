@@ -19,10 +19,11 @@
 use super::column::Column;
 use super::greedy::{Fitter, Slope};
 use super::joint::{Common, run};
-use super::model::Model;
-use super::nuisance::slow_direction;
-use super::scatter::{self, Direction};
+use super::model::{Model, WhitenedRecord};
+use super::nuisance::{Direction, slow_direction};
+use super::scatter;
 use super::state::State;
+use super::tone::Tone;
 use super::{Baseline, Jitter, Profile, Response, SparseFit, SparseOptions};
 
 /// Score from which another width is tried: of pulses that stand alone; of pulses that blend, whose distance looks like
@@ -47,24 +48,27 @@ const SAMPLES_PER_COMPONENT: usize = 8;
 const NEW: f64 = 0.05;
 /// Fits from which the scatter of the shots' times is taken: the first may have split a pulse that it blurred.
 const SCATTER_ROUNDS: usize = 2;
+/// Pulses from which on they may be the waves of a baseline that moves: what pulses leave that are worth this share of
+/// the strongest shows it.
+const MANY: usize = 6;
+const STRONG: f64 = 0.05;
 /// Attempts at most.
 pub(super) const ATTEMPTS: usize = 6;
 
 /// What is supposed of a record besides its pulses.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Cause {
-    /// Variances of the components of a baseline that moves, V^2.
-    ground_v2: Vec<f64>,
+    ground: Ground,
     /// Logarithm of the width's factor.
     stretch: f64,
     /// What the scatter of the shots' times makes of the pulses.
     scatter: Vec<Direction>,
 }
 
-/// A change of one record's cause, and the chi2 that it promises.
+/// Another cause of one record, or several of which the best is to be taken, and the chi2 that it promises.
 struct Hint {
     record: usize,
-    cause: Cause,
+    causes: Vec<Cause>,
     promise: f64,
     /// Chi2 that it must gain at least.
     least_gain: f64,
@@ -87,7 +91,10 @@ pub(super) fn explain(
     shared_amplitudes: bool,
     evidence_min: f64,
 ) -> Vec<SparseFit> {
-    let attempt = |causes: &[Cause]| Attempt::new(records, options, shared_amplitudes, evidence_min, causes);
+    let fit = |causes: &[Cause], least_share: f64| {
+        Attempt::new(records, options, shared_amplitudes, evidence_min, causes, least_share)
+    };
+    let attempt = |causes: &[Cause]| fit(causes, 0.0);
     let mut causes = vec![Cause::default(); records.len()];
     let mut best = attempt(&causes);
     for _ in 0..SCATTER_ROUNDS {
@@ -100,16 +107,23 @@ pub(super) fn explain(
     if options.baseline != Baseline::Line {
         return best.fits;
     }
+    if best.pulses() > MANY {
+        // Before those of pulses that explain the waves in part.
+        best.hints.splice(0..0, fit(&causes, STRONG).hints);
+    }
     for _ in 0..ATTEMPTS {
         let better = best.hints.iter().find_map(|hint| {
-            let mut changed = causes.clone();
-            changed[hint.record] = hint.cause.clone();
-            let trial = attempt(&changed);
-            let is_stretched = hint.cause.stretch != causes[hint.record].stretch;
-            // Two pulses that blend look like one of a wider response. That there is one pulse less is no evidence for
-            // the width: the calibration is rather right.
-            let fewer = if is_stretched { best.pulses().saturating_sub(trial.pulses()) } else { 0 };
-            let cost = trial.cost + evidence_min * fewer as f64 + hint.least_gain;
+            let trial = |cause: &Cause| {
+                let mut changed = causes.clone();
+                changed[hint.record] = cause.clone();
+                let trial = attempt(&changed);
+                let is_stretched = cause.stretch != causes[hint.record].stretch;
+                // Two pulses that blend look like one of a wider response. That there is one pulse less is no evidence
+                // for the width: the calibration is rather right.
+                let fewer = if is_stretched { best.pulses().saturating_sub(trial.pulses()) } else { 0 };
+                (trial.cost + evidence_min * fewer as f64 + hint.least_gain, trial, changed)
+            };
+            let (cost, trial, changed) = hint.causes.iter().map(trial).min_by(|a, b| a.0.total_cmp(&b.0))?;
             (cost <= best.cost).then_some((trial, changed))
         });
         let Some((trial, changed)) = better else { break };
@@ -129,9 +143,13 @@ impl Attempt {
         shared_amplitudes: bool,
         evidence_min: f64,
         causes: &[Cause],
+        least_share: f64,
     ) -> Self {
-        let slow_v2: Vec<Vec<f64>> =
-            records.iter().zip(causes).map(|((profile, _), cause)| sum(profile.slow_v2, &cause.ground_v2)).collect();
+        let slow_v2: Vec<Vec<f64>> = records
+            .iter()
+            .zip(causes)
+            .map(|((profile, _), cause)| sum(profile.slow_v2, &cause.ground.variances_v2))
+            .collect();
         let responses: Vec<Response> =
             records.iter().zip(causes).map(|((_, response), cause)| response.stretched(cause.stretch.exp())).collect();
         let supposed: Vec<(Profile, &Response)> = records
@@ -141,8 +159,12 @@ impl Attempt {
             .collect();
         let means_v: Vec<&[f64]> = records.iter().map(|(profile, _)| profile.mean_v).collect();
         let mut model = Model::new(&supposed, options, shared_amplitudes);
-        scatter::add(&mut model, causes.iter().map(|cause| cause.scatter.as_slice()));
-        let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max).starting_from(&options.predictions);
+        for (r, cause) in causes.iter().enumerate() {
+            model.add_under(r, cause.scatter.iter().chain(&cause.ground.tones));
+        }
+        let fitter = Fitter::new(model, &means_v, evidence_min, options.pulses_max)
+            .starting_from(&options.predictions)
+            .with_least_share(least_share);
         let (state, evidences) = fitter.grown();
         let widths: Vec<Option<Width>> =
             (0..records.len()).map(|r| Width::of(&fitter, &state, r, causes[r].stretch, options.width_sd)).collect();
@@ -151,14 +173,18 @@ impl Attempt {
             .flat_map(|r| {
                 let may_be_wider = options.extent_max_ps == 0.0;
                 let hint = |width: &Width| {
-                    width.hint(r, &causes[r], least_score).filter(|hint| may_be_wider || hint.cause.stretch < 0.0)
+                    width.hint(r, &causes[r], least_score).filter(|hint| may_be_wider || hint.causes[0].stretch < 0.0)
                 };
                 let width = widths[r].as_ref().and_then(hint);
-                let of_ground = |Ground { variances_v2, promise }: Ground| {
-                    let ground_v2 = sum(&causes[r].ground_v2, &variances_v2);
-                    Hint { record: r, cause: Cause { ground_v2, ..causes[r].clone() }, promise, least_gain: 0.0 }
-                };
-                [width, Ground::of(&fitter, &state, r, evidence_min).map(of_ground)]
+                let grounds = Ground::of(&fitter, &state, r, evidence_min);
+                let ground = grounds.first().map(|(_, promise)| {
+                    let with = |(ground, _): &(Ground, f64)| Cause {
+                        ground: causes[r].ground.and(ground),
+                        ..causes[r].clone()
+                    };
+                    Hint { record: r, causes: grounds.iter().map(with).collect(), promise: *promise, least_gain: 0.0 }
+                });
+                [width, ground]
             })
             .flatten()
             .collect();
@@ -175,7 +201,7 @@ impl Attempt {
         let common = taken.filter_map(|(width, _)| width.as_ref()).map(Width::common).collect();
         let mut fits = run(&fitter, &state, evidences, common, evidence_min);
         for ((fit, cause), width) in fits.iter_mut().zip(causes).zip(&widths) {
-            fit.ground_v = cause.ground_v2.iter().sum::<f64>().sqrt();
+            fit.ground_v = cause.ground.sd_v();
             fit.width = width.as_ref().map(|width| width.shown);
         }
         let jitters: Vec<Option<Jitter>> = records.iter().map(|(profile, _)| profile.jitter).collect();
@@ -201,7 +227,7 @@ fn trials(causes: &[Cause]) -> Vec<Hint> {
     let least_gain = WIDTH_SIGMA_BLENDED.powi(2);
     let trial = |(record, stretch): (usize, f64)| {
         let cause = Cause { stretch, ..causes[record].clone() };
-        Hint { record, cause, promise: 0.0, least_gain }
+        Hint { record, causes: vec![cause], promise: 0.0, least_gain }
     };
     let records = || 0..causes.len();
     [WIDTH_TRIAL, -WIDTH_TRIAL]
@@ -233,7 +259,7 @@ impl Width {
     /// `None` where there are no pulses, or these tell nothing.
     fn of(fitter: &Fitter, state: &State, r: usize, stretch: f64, sd: f64) -> Option<Self> {
         let group = fitter.group_of(r);
-        let direction = |(other, record): (usize, &super::model::WhitenedRecord)| {
+        let direction = |(other, record): (usize, &WhitenedRecord)| {
             let pulses = (0..state.pulses()).filter(|k| other == r && state.place(*k).shapes() == 0);
             let column = |k: usize| (state.amplitude_of(group, k), Column::stretching(record, state.time_ps(k)));
             (1.0, Column::sum(pulses.map(column), record.len()))
@@ -254,7 +280,7 @@ impl Width {
         let least = if cause.stretch == 0.0 { least_score } else { WIDTH_SETTLED };
         let stretch = self.stretch.clamp(cause.stretch - WIDTH_STEP, cause.stretch + WIDTH_STEP);
         let cause = Cause { stretch, ..cause.clone() };
-        (self.gain > least * least).then_some(Hint { record, cause, promise: self.gain, least_gain: 0.0 })
+        (self.gain > least * least).then(|| Hint { record, causes: vec![cause], promise: self.gain, least_gain: 0.0 })
     }
 
     /// Its error in all unknowns.
@@ -264,23 +290,34 @@ impl Width {
 }
 
 /// A baseline that moves.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Ground {
-    /// Variances of its components beyond those that are supposed, V^2.
+    /// Variances of its components beyond those of the record's slow noise, V^2.
     pub(super) variances_v2: Vec<f64>,
-    /// Chi2 that it promises.
-    promise: f64,
+    /// Cosines and sines of tones.
+    pub(super) tones: Vec<Direction>,
 }
 
 impl Ground {
-    /// `None` where noise explains the residual of record `r`.
-    pub(super) fn of(fitter: &Fitter, state: &State, r: usize, evidence_min: f64) -> Option<Self> {
+    /// What may be added to it for the residual of record `r`, and the chi2 that each promises, the most first; nothing
+    /// where noise explains it.
+    pub(super) fn of(fitter: &Fitter, state: &State, r: usize, evidence_min: f64) -> Vec<(Self, f64)> {
         if fitter.misfit(state, Some(r), None).sigma() < MISFIT_SIGMA {
-            return None;
+            return Vec::new();
         }
         let (record, residual) = (&fitter.model.records[r], &state.residuals[r]);
-        let len = record.len();
+        let tone = Tone::of(record, residual)
+            .map(|Tone { directions, promise }| (Self { tones: directions, ..Self::default() }, promise));
+        let mut all: Vec<(Self, f64)> = tone.into_iter().chain(Self::slow(record, residual)).collect();
+        all.retain(|(_, promise)| *promise > evidence_min);
+        all.sort_by(|a, b| b.1.total_cmp(&a.1));
+        all
+    }
+
+    /// Components of one variance, the first ones.
+    fn slow(record: &WhitenedRecord, residual: &[f64]) -> Option<(Self, f64)> {
         let (mut power, mut left) = (Vec::new(), Vec::new());
-        for k in 0..(len / SAMPLES_PER_COMPONENT).min(COMPONENTS_MAX) {
+        for k in 0..(record.len() / SAMPLES_PER_COMPONENT).min(COMPONENTS_MAX) {
             let direction = slow_direction(&record.whitener, k);
             let dot = |other: &[f64]| direction.iter().zip(other).map(|(a, b)| a * b).sum::<f64>();
             let own = dot(&record.nuisance.without(&direction));
@@ -294,6 +331,18 @@ impl Ground {
             (count as f64 * (excess - excess.ln_1p()), count, excess / mean(&left))
         };
         let (promise, count, variance_v2) = (1..=power.len()).map(of_first).max_by(|a, b| a.0.total_cmp(&b.0))?;
-        (promise > evidence_min).then(|| Self { variances_v2: vec![variance_v2; count], promise })
+        Some((Self { variances_v2: vec![variance_v2; count], ..Self::default() }, promise))
+    }
+
+    /// Both together.
+    pub(super) fn and(&self, other: &Self) -> Self {
+        let tones = self.tones.iter().chain(&other.tones).cloned().collect();
+        Self { variances_v2: sum(&self.variances_v2, &other.variances_v2), tones }
+    }
+
+    /// Its standard deviation, V: half of a tone's variance is the cosine's, half the sine's.
+    fn sd_v(&self) -> f64 {
+        let tones: f64 = self.tones.iter().map(|(_, variance_v2)| 0.5 * variance_v2).sum();
+        (self.variances_v2.iter().sum::<f64>() + tones).sqrt()
     }
 }

@@ -55,6 +55,7 @@ mod search;
 mod state;
 #[cfg(test)]
 mod tests;
+mod tone;
 
 use periscope_cancel::Cancel;
 

@@ -6,7 +6,7 @@
 use periscope_cancel::Cancel;
 
 use super::column::Column;
-use super::nuisance::{self, Nuisance};
+use super::nuisance::{self, Direction, Nuisance};
 use super::place::Place;
 use super::{Profile, Response, SparseOptions, Whitener};
 
@@ -92,6 +92,13 @@ impl<'a> Model<'a> {
             width_ps: records.iter().map(|record| record.width_ps).fold(f64::INFINITY, f64::min),
             records,
             cancel: options.cancel.clone(),
+        }
+    }
+
+    /// With more under the pulses: directions of record `r`.
+    pub(super) fn add_under<'d>(&mut self, r: usize, directions: impl IntoIterator<Item = &'d Direction>) {
+        for (direction, variance) in directions {
+            self.records[r].nuisance.add(direction, Some(*variance));
         }
     }
 

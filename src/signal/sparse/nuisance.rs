@@ -17,6 +17,9 @@ const NEW: f64 = 0.05;
 /// record, and few of them are far from what is not: without bends, the ends of a record would show pulses.
 const BENDS: i32 = 3;
 
+/// A whitened direction, and the variance of its amplitude.
+pub(super) type Direction = (Vec<f64>, f64);
+
 /// The axes of Q.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Nuisance {

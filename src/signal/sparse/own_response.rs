@@ -27,6 +27,7 @@ use super::evidence::evidence_min_of;
 use super::greedy::Fitter;
 use super::linear::Cholesky;
 use super::model::Model;
+use super::nuisance::Direction;
 use super::scatter;
 use super::state::State;
 use super::{Baseline, FALSE_PULSES, Profile, Response, SparseOptions, WIDTH_SD};
@@ -52,8 +53,8 @@ const SD_PER_WIDTH: f64 = 0.424_66;
 const BLUR_SD: f64 = 0.05;
 const ECHO_SD: f64 = 0.01;
 const TAIL_SD: f64 = 0.02;
-/// Rounds: what a pulse must be worth in each as a share of the strongest, and whether width or blur alone is sought. What
-/// an error of the response makes of the strongest is less at first, and is corrected before it could be taken for
+/// Rounds: what a pulse must be worth in each as a share of the strongest, and whether width or blur alone is sought.
+/// What an error of the response makes of the strongest is less at first, and is corrected before it could be taken for
 /// light; a width that is off is corrected before what is not linear in it could be taken for echoes.
 const ROUNDS: [(f64, bool); 6] = [(1e-2, true), (1e-3, true), (1e-2, false), (1e-3, false), (0.0, false), (0.0, false)];
 /// Logarithm of the ratio of likelihoods that a change of the width must bring, and what more than that a change of the
@@ -206,27 +207,31 @@ impl ResponseErrors {
     ) -> Option<ResponseScore> {
         let response = averaged(&self.response(coefficients));
         let evidence_min = options.evidence_min.unwrap_or_else(|| evidence_min_of(profile, &response, FALSE_PULSES));
-        let mut slow_v2 = profile.slow_v2.to_vec();
-        let mut grounds = 0..ATTEMPTS;
-        let mut scattered = Vec::new();
-        loop {
+        let (mut ground, mut scattered) = (Ground::default(), Vec::new());
+        let fitted = |ground: &Ground, scattered: &[Vec<Direction>]| {
+            let slow_v2 = cause::sum(profile.slow_v2, &ground.variances_v2);
             let supposed = Profile { slow_v2: &slow_v2, ..*profile };
             let mut model = Model::new(&[(supposed, &response)], options, true);
-            scatter::add(&mut model, scattered.iter().map(Vec::as_slice));
+            model.add_under(0, ground.tones.iter().chain(scattered.iter().flatten()));
             let fitter = Fitter::new(model, &[profile.mean_v], evidence_min, options.pulses_max);
             let fitter = fitter.with_least_share(least_share);
             let (state, _) = fitter.grown();
-            if scattered.is_empty() {
-                scattered = scatter::directions(&fitter, &state, &[profile.jitter]);
-                if scattered.iter().any(|directions| !directions.is_empty()) {
-                    continue;
-                }
-            }
-            let may_move = options.baseline == Baseline::Line && grounds.next().is_some();
-            let ground = may_move.then(|| Ground::of(&fitter, &state, 0, evidence_min)).flatten();
-            let Some(ground) = ground else { return self.score_of(&fitter, &state, coefficients, &averaged) };
-            slow_v2 = cause::sum(&slow_v2, &ground.variances_v2);
+            (fitter.cost(&state), fitter, state)
+        };
+        let mut best = fitted(&ground, &scattered);
+        let found = scatter::directions(&best.1, &best.2, &[profile.jitter]);
+        if found.iter().any(|directions| !directions.is_empty()) {
+            scattered = found;
+            best = fitted(&ground, &scattered);
         }
+        for _ in 0..if options.baseline == Baseline::Line { ATTEMPTS } else { 0 } {
+            let more = Ground::of(&best.1, &best.2, 0, evidence_min);
+            let trials =
+                more.iter().map(|(more, _)| ground.and(more)).map(|ground| (fitted(&ground, &scattered), ground));
+            let Some((trial, changed)) = trials.min_by(|a, b| a.0.0.total_cmp(&b.0.0)) else { break };
+            (best, ground) = (trial, changed);
+        }
+        self.score_of(&best.1, &best.2, coefficients, &averaged)
     }
 
     /// What the record of a fit says.

@@ -12,7 +12,7 @@
 
 use super::column::Column;
 use super::greedy::Fitter;
-use super::model::Model;
+use super::nuisance::Direction;
 use super::place::Place;
 use super::state::State;
 
@@ -34,9 +34,6 @@ const STEP_WIDTHS: f64 = 0.05;
 /// Chi2 that a derivative adds on average, from which it counts.
 const SHOWS: f64 = 0.05;
 
-/// A whitened direction of a record, and the variance of its amplitude.
-pub(super) type Direction = (Vec<f64>, f64);
-
 /// Directions along which the scatter of each record's shots moves the pulses of a fit, where they show.
 pub(super) fn directions(fitter: &Fitter, state: &State, jitters: &[Option<Jitter>]) -> Vec<Vec<Direction>> {
     let of_record = |(r, jitter): (usize, &Option<Jitter>)| {
@@ -49,13 +46,6 @@ pub(super) fn directions(fitter: &Fitter, state: &State, jitters: &[Option<Jitte
         all.filter(|(direction, variance)| variance * direction.iter().map(|d| d * d).sum::<f64>() > SHOWS).collect()
     };
     jitters.iter().enumerate().map(of_record).collect()
-}
-
-/// Adds them to what lies under the pulses.
-pub(super) fn add<'a>(model: &mut Model, scatter: impl Iterator<Item = &'a [Direction]>) {
-    for (record, directions) in model.records.iter_mut().zip(scatter) {
-        directions.iter().for_each(|(direction, variance)| record.nuisance.add(direction, Some(*variance)));
-    }
 }
 
 /// The derivative of all pulses by their time.

@@ -8,6 +8,7 @@ mod joint;
 mod own_response;
 mod predictions;
 mod scatter;
+mod tones;
 
 use super::*;
 use rand::{RngExt, SeedableRng};
