@@ -99,8 +99,10 @@ impl<'a> Fitter<'a> {
     /// Where a pulse must be worth at least this share of what the strongest is: what is less may be what an error of
     /// the response makes of the strongest.
     pub(super) fn with_least_share(mut self, share: f64) -> Self {
-        let strongest = self.filter.best(&self.model, &self.data).map_or(0.0, |(_, drop)| drop);
-        self.evidence_min = self.evidence_min.max(share * strongest);
+        if share > 0.0 {
+            let strongest = self.filter.best(&self.model, &self.data).map_or(0.0, |(_, drop)| drop);
+            self.evidence_min = self.evidence_min.max(share * strongest);
+        }
         self
     }
 
