@@ -109,7 +109,8 @@ pub(super) fn explain(
     }
     if best.pulses() > MANY {
         // Before those of pulses that explain the waves in part.
-        best.hints.splice(0..0, fit(&causes, STRONG).hints);
+        let moves = |hint: &Hint| hint.causes.iter().all(|cause| cause.ground != causes[hint.record].ground);
+        best.hints.splice(0..0, fit(&causes, STRONG).hints.into_iter().filter(moves));
     }
     for _ in 0..ATTEMPTS {
         let better = best.hints.iter().find_map(|hint| {
