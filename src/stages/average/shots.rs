@@ -345,7 +345,20 @@ impl Shots {
         };
         let mut doubts = Vec::from_iter(account(&self.first, shots).lost_many());
         doubts.extend(self.is_lit.then(|| LIT.to_owned()));
+        doubts.extend(sought.is_none().then(|| self.late(&noise)).flatten());
         Ok((self.record(&mean, &noise), doubts))
+    }
+
+    /// Shots without a reference pulse that come early and late by more than a sample: a pulse that marks time zero
+    /// would take that off.
+    fn late(&self, noise: &Noise) -> Option<String> {
+        let jitter_ps = self.jitter_ps2(noise).sqrt();
+        (jitter_ps > self.first.dt_ps).then(|| {
+            format!(
+                "has shots that come early and late by {jitter_ps:.0} ps: if a channel sees the laser, name it as `reference` in the \
+                 [[captures]] rule"
+            )
+        })
     }
 
     /// In the mean of all shots light shows that the first ones did not: the level is then taken elsewhere.
