@@ -75,8 +75,14 @@ impl OutlierTest {
             (own > COMMON * scale).then_some(own)
         };
         let is_steep = |n: &usize| slope(*n) > sigma * scale;
-        let mut delays: Vec<f64> =
-            (0..count).filter(is_steep).map(|n| common(n).map_or(0.0, |own| own / slope(n))).collect();
+        // At the highest point, where jitter moves little, the laser's energy shows: it is no delay.
+        let highest = (0..count).max_by(|a, b| median[*a].abs().total_cmp(&median[*b].abs()))?;
+        let energy = common(highest).map_or(0.0, |own| own / median[highest].abs());
+        let delay = |n: usize| {
+            let own = common(n).unwrap_or(0.0);
+            (own.powi(2) - (energy * median[n]).powi(2)).max(0.0).sqrt() / slope(n)
+        };
+        let mut delays: Vec<f64> = (0..count).filter(is_steep).map(delay).collect();
         let late = if delays.is_empty() { 0 } else { (LATE_SIGMA * middle(&mut delays)).ceil() as i64 };
         let margin: Vec<f64> = (0..count).map(|n| sigma * common(n).unwrap_or(scale) + slope(n)).collect();
         let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
@@ -194,5 +200,26 @@ mod tests {
             // Later than jitter makes any.
             assert!(rejected(1.0, 15.0) == 300, "{jitter}");
         }
+    }
+
+    /// Energy that changes from shot to shot makes none late: what comes many samples later is another light.
+    #[test]
+    fn energy_is_no_jitter() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut shot = |late: f64| -> Vec<u8> {
+            let energy: f64 = 1.0 + 0.1 * Distribution::<f64>::sample(&StandardNormal, &mut rng);
+            let mut code = |n: usize| -> [u8; 2] {
+                let after = (n as f64 - 200.0 - late) / 15.0;
+                let normal: f64 = StandardNormal.sample(&mut rng);
+                ((3000.0 * energy * (-0.5 * after * after).exp() + 10.0 * normal).round() as i16).to_le_bytes()
+            };
+            (0..400).flat_map(&mut code).collect()
+        };
+        let head: Vec<Vec<u8>> = (0..HEAD_SHOTS).map(|_| shot(0.0)).collect();
+        let views: Vec<(Codes<'_>, i64)> = head.iter().map(|bytes| (Codes::I16(bytes), 0)).collect();
+        let test = OutlierTest::new(&views, Dark::at_start(32), 6.0).expect("enough shots");
+        let mut rejected = |late: f64| (0..300).filter(|_| test.is_outlier(Codes::I16(&shot(late)), 0)).count();
+        let (good, late) = (rejected(0.0), rejected(20.0));
+        assert!(test.late <= 1 && good <= 3 && late >= 280, "{}: {good}, {late}", test.late);
     }
 }

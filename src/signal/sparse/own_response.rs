@@ -228,7 +228,8 @@ impl ResponseErrors {
             let more = Ground::of(&best.1, &best.2, 0, evidence_min);
             let trials =
                 more.iter().map(|(more, _)| ground.and(more)).map(|ground| (fitted(&ground, &scattered), ground));
-            let Some((trial, changed)) = trials.min_by(|a, b| a.0.0.total_cmp(&b.0.0)) else { break };
+            let likeliest = trials.min_by(|a, b| a.0.0.total_cmp(&b.0.0));
+            let Some((trial, changed)) = likeliest.filter(|(trial, _)| trial.0 <= best.0) else { break };
             (best, ground) = (trial, changed);
         }
         self.score_of(&best.1, &best.2, coefficients, &averaged)
