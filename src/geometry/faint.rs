@@ -30,12 +30,15 @@
 //! One patch at a time: light of known places is to be projected out of the scores before, that of a patch just found
 //! included.
 //!
-//! Not modelled: errors of the foci and of delays, which are small against the response's width; unknown light in few
-//! profiles that is weaker than an onset.
+//! Errors of the foci and of delays are small against the response's width. They change no evidence, but all profiles
+//! share them: [`gained_m2`] is what they add to the covariance of a place.
+//!
+//! Not modelled: unknown light in few profiles that is weaker than an onset.
 
 mod grid;
 mod likelihood;
 mod sampling;
+mod shared;
 
 use nalgebra::{Matrix3, Vector3};
 use periscope_cancel::Cancel;
@@ -45,6 +48,7 @@ use super::hidden::Focus;
 use super::hidden::search::Domain;
 use likelihood::Likelihood;
 pub use likelihood::{Profile, SPREAD};
+pub use shared::{Ends, Shared, gained_m2};
 
 /// Candidates that are judged by the likelihood at a point, by few samples, and by many.
 const CANDIDATES: [usize; 3] = [400, 12, 3];
@@ -73,7 +77,7 @@ pub struct Room {
 pub struct Faint {
     /// Position.
     pub point: Point,
-    /// Covariance. In flatland the third row and column are 0.
+    /// Covariance, m^2, given foci and delays. In flatland the third row and column are 0.
     pub covariance: Matrix3<f64>,
     /// Log of the Bayes factor of this patch over none.
     pub evidence: f64,

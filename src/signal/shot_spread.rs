@@ -5,7 +5,7 @@ use super::block_means::BlockMeans;
 use super::codes::Codes;
 use super::dark::Dark;
 use super::resample;
-use super::sums::{sum, sum_of_squares};
+use super::sums::sum;
 use super::widest::widest;
 
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
@@ -18,8 +18,6 @@ pub struct Spread {
     /// Variance over shots at each place of the mean, in codes squared, each shot's own baseline removed. Places that
     /// fewer than two shots cover have NaN.
     pub variances: Vec<f64>,
-    /// Mean square of all differences, in codes squared, baselines included.
-    pub mean_square: f64,
     /// The differences over blocks, baselines included; each shot's from its first place of the mean on.
     pub differences: BlockMeans,
 }
@@ -33,7 +31,6 @@ impl Spread {
     pub fn of(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Self {
         let count = mean.mean.len();
         let (mut variances, mut differences) = (vec![0.0; count], BlockMeans::new(count, shots.len()));
-        let (mut total, mut samples) = (0.0, 0);
         // Where the number of shots that cover a place changes, and by how much.
         let mut changes = vec![0_i32; count + 1];
         let (mut values, mut room) = (Vec::new(), vec![0.0; STRETCH_BLOCKS * differences.block()]);
@@ -43,10 +40,8 @@ impl Spread {
                 codes.slice(start..codes.len().min(start + room.len())).read_into(&mut values);
                 let difference = &mut room[..values.len()];
                 subtract(&values, own, &moved[from + start..], difference, &mut variances[at + start..]);
-                total += sum_of_squares(difference);
                 differences.fill(start, difference);
             }
-            samples += codes.len();
             changes[at] += 1;
             changes[at + codes.len()] -= 1;
         });
@@ -55,7 +50,18 @@ impl Spread {
             covering += change;
             *variance = if covering >= 2 { *variance / f64::from(covering - 1) } else { f64::NAN };
         }
-        Self { variances, mean_square: total / samples as f64, differences }
+        Self { variances, differences }
+    }
+
+    /// Median of the variances over shots: light in less than half of a record does not change it, nor do offsets.
+    #[must_use]
+    pub fn usual_variance(&self) -> f64 {
+        let mut known: Vec<f64> = self.variances.iter().copied().filter(|variance| variance.is_finite()).collect();
+        if known.is_empty() {
+            return 0.0;
+        }
+        let half = known.len() / 2;
+        *known.select_nth_unstable_by(half, f64::total_cmp).1
     }
 }
 
@@ -281,9 +287,9 @@ mod tests {
         let mean = sums.finish().unwrap();
         let spread = Spread::of(&views, &mean, &Dark::at_start(40));
         let differences = crate::dark::differences(&views, &mean);
-        let count = differences.iter().map(Vec::len).sum::<usize>() as f64;
-        let square = differences.iter().flatten().map(|value| value * value).sum::<f64>() / count;
-        assert!((spread.mean_square / square - 1.0).abs() < 1e-9, "{} {square}", spread.mean_square);
+        let mut sorted: Vec<f64> = spread.variances.iter().copied().filter(|one| one.is_finite()).collect();
+        sorted.sort_by(f64::total_cmp);
+        assert_eq!(spread.usual_variance(), sorted[sorted.len() / 2]);
         let block = spread.differences.block();
         for (means, difference) in spread.differences.shots().zip(&differences) {
             let naive = difference.chunks_exact(block).map(|block| block.iter().sum::<f64>() / block.len() as f64);

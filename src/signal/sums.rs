@@ -17,38 +17,14 @@ pub fn sum(values: &[f64]) -> f64 {
 #[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
 #[inline(always)]
 pub fn sum_in_kernel(values: &[f64]) -> f64 {
-    sum_of(
-        values,
-        #[inline(always)]
-        |value| value,
-    )
-}
-
-/// The sum of their squares.
-pub fn sum_of_squares(values: &[f64]) -> f64 {
-    widest(
-        #[inline(always)]
-        || {
-            sum_of(
-                values,
-                #[inline(always)]
-                |value| value * value,
-            )
-        },
-    )
-}
-
-#[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
-#[inline(always)]
-fn sum_of(values: &[f64], of: impl Fn(f64) -> f64) -> f64 {
     let (blocks, rest) = values.as_chunks::<LANES>();
     let mut sums = [0.0; LANES];
     for block in blocks {
         for lane in 0..LANES {
-            sums[lane] += of(block[lane]);
+            sums[lane] += block[lane];
         }
     }
-    sums.iter().sum::<f64>() + rest.iter().map(|value| of(*value)).sum::<f64>()
+    sums.iter().sum::<f64>() + rest.iter().sum::<f64>()
 }
 
 #[cfg(test)]
@@ -61,7 +37,6 @@ mod tests {
             let values: Vec<f64> = (0..len).map(f64::from).collect();
             let n = f64::from(len);
             assert_eq!(sum(&values), n * (n - 1.0) / 2.0);
-            assert_eq!(sum_of_squares(&values), n * (n - 1.0) * (2.0 * n - 1.0) / 6.0);
         }
     }
 }

@@ -16,11 +16,12 @@
 //! likeliest place that is not sure enough stands in `hypotheses` with `patch` null, and with it how many shots, and
 //! hours, would show it.
 //!
-//! Takes `patches` (of `refine`), `profiles`, `stir`, `labels` and `calibration`; optional `delays` (of the same
-//! `refine`) and `session` (of `track`). Writes all `patches`, new ones added, and `hypotheses`.
+//! Takes `patches` (of `refine`), `profiles`, `stir`, `labels` and `calibration`; optional `session` (of `track`), and
+//! `delays` and `covariances` (`patch_covariances`) of the same `refine`. Errors of visible patches and of delays are
+//! common to all profiles, and travel to the new patches. Without `covariances` those of patches count as independent,
+//! without `delays` delays count as known. Writes all `patches`, new ones added, and `hypotheses`.
 //!
-//! Not modelled: errors of visible patches and delays, small against the width of a response; footprints (`spread_ps`
-//! is the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps;
+//! Not modelled: what errors of patches and of delays have in common with each other; footprints (`spread_ps` is the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps;
 //! photon counts; fourth and later bounces too weak to be fitted.
 //!
 //! ```toml
@@ -28,10 +29,13 @@
 //! stage = "search"
 //! from = "patches"
 //! with = { profiles = "profiles", stir = "stir", labels = "labels", calibration = "calibration" }
+//! with.covariances = "patches.patch_covariances"
+//! with.delays = "patches.delays"
 //! ```
 
 mod pair_profile;
 mod rows;
+mod shared_errors;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -47,6 +51,7 @@ use crate::geometry::hidden::facing;
 use crate::parameter::{NonNegative, Share};
 use crate::priors::calibration::Sensors;
 use crate::priors::campaign_fields::{ByCampaign, HiddenPatches, Medium, StationPositions};
+use crate::priors::covariances::PatchCovariances;
 use crate::priors::delays::Delays;
 use crate::signal::sparse::{self, Open};
 use crate::tables::{Hypothesis, Label, Patch, Profile, Row, Session, Stir};
@@ -102,12 +107,13 @@ pub struct Context {
     sensors: Sensors,
     sessions: Vec<Session>,
     delays: Delays,
+    covariances: PatchCovariances,
     cancel: Cancel,
 }
 
 impl Stage for Search {
     const KIND: &'static str = "search";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -115,6 +121,7 @@ impl Stage for Search {
         Beside { name: "labels", table: "labels", required: true },
         Beside { name: "calibration", table: "calibration", required: true },
         Beside { name: "delays", table: "delays", required: false },
+        Beside { name: "covariances", table: "patch_covariances", required: false },
         Beside { name: "session", table: "session", required: false },
     ];
     const ROWS_MAX: Option<(&'static str, u64)> = Some(("profiles", PROFILES_MAX));
@@ -148,6 +155,7 @@ impl Stage for Search {
             sensors: Sensors::new(&beside.rows("calibration")?.unwrap_or_default()),
             sessions: beside.rows("session")?.unwrap_or_default(),
             delays: Delays::new(&beside.rows("delays")?.unwrap_or_default()),
+            covariances: PatchCovariances::new(&beside.rows("covariances")?.unwrap_or_default()),
             cancel: beside.cancel.clone(),
         })
     }
@@ -170,6 +178,7 @@ impl Apply for Search {
             }
         };
         let light = Light::new(context, &pairs, &visible);
+        let shared = context.shared_errors(&pairs, &group, &visible);
         if room.is_some() {
             light.learn(&mut pairs, &points, &context.cancel);
         }
@@ -186,7 +195,8 @@ impl Apply for Search {
             };
             let profiles: Vec<faint::Profile> = pairs.par_iter().map(scores).collect();
             let Some(place) = faint::likeliest(&profiles, room) else { break };
-            if !search.add(patch, place, room.dimensions) {
+            let gained_m2 = faint::gained_m2(place.point, &profiles, room, &shared);
+            if !search.add(patch, place, gained_m2, room.dimensions) {
                 break;
             }
             points.insert(patch, place.point);

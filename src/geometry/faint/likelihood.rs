@@ -52,6 +52,14 @@ impl Profile {
         self.low_m + self.step_m * (self.scores.len() as f64 - 1.0)
     }
 
+    /// Score of a patch that is so far from each focus, and what a unit of strength adds to it; `None` where the profile
+    /// could not have recorded it.
+    pub(super) fn signal(&self, legs_m: &[Option<f64>]) -> Option<(f64, f64)> {
+        let (a, b) = (legs_m[self.foci[0]]?, legs_m[self.foci[1]]?);
+        let (score, gain) = self.at(a + b)?;
+        Some((score, gain / (a * b).powi(2)))
+    }
+
     /// Score and gain at a length; `None` outside the record.
     fn at(&self, length_m: f64) -> Option<(f64, f64)> {
         let place = (length_m - self.low_m) / self.step_m;
@@ -62,6 +70,11 @@ impl Profile {
         let between = |values: &[f64]| Some(values.get(k)? * (1.0 - part) + values.get(k + 1)? * part);
         Some((between(&self.scores)?, between(&self.gains)?))
     }
+}
+
+/// Distance of a point from each focus; `None` where it lies behind one.
+pub(super) fn legs_m(foci: &[Focus], point: &Point) -> Vec<Option<f64>> {
+    foci.iter().map(|focus| focus.faces(*point, 0.0).then(|| (point - focus.point).norm())).collect()
 }
 
 /// Probabilities of the factors.
@@ -179,14 +192,8 @@ impl<'a> Likelihood<'a> {
         if !self.domain.holds(*point, 0.0) {
             return None;
         }
-        let leg = |focus: &Focus| focus.faces(*point, 0.0).then(|| (point - focus.point).norm());
-        let legs_m: Vec<Option<f64>> = self.foci.iter().map(leg).collect();
-        let signal = |profile: &Profile| {
-            let (a, b) = (legs_m[profile.foci[0]]?, legs_m[profile.foci[1]]?);
-            let (score, gain) = profile.at(a + b)?;
-            Some((score, gain / (a * b).powi(2)))
-        };
-        let signals: Vec<(f64, f64)> = self.profiles.iter().filter_map(signal).collect();
+        let legs_m = legs_m(self.foci, point);
+        let signals: Vec<(f64, f64)> = self.profiles.iter().filter_map(|profile| profile.signal(&legs_m)).collect();
         (2 * signals.len() > self.profiles.len()).then_some(signals)
     }
 

@@ -1,5 +1,10 @@
 mod scene;
 
+use nalgebra::DMatrix;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
 use super::*;
 use scene::{Strengths, draw};
 
@@ -31,6 +36,43 @@ fn pulses_too_weak_in_each_profile_are_a_patch_in_all_together() {
         let most = likeliest(&profiles, &room).map_or(f64::NEG_INFINITY, |place| place.evidence);
         assert!(most < NEEDED, "{seed}: {most}");
     }
+}
+
+/// Patches and delays that are not quite where they are believed to be move a place as far as stated, and farther than
+/// noise does.
+#[test]
+fn errors_that_profiles_share_are_those_that_a_place_gains() {
+    let (source, sensor) = (Point::new(-0.6, 1.2, 0.3), Point::new(1.4, -0.5, 0.2));
+    let (focus_sd_m, delay_sd_m, count) = (0.01, 0.02, 24);
+    let mut squares = [0.0; 2];
+    for seed in 0..count {
+        let (mut profiles, mut room, hidden) = draw(8, 2.5, Strengths::Alike, 100 + seed);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut normal =
+            |sd_m: f64| -> f64 { sd_m * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut rng) };
+        let late_m = [normal(delay_sd_m), normal(delay_sd_m)];
+        let known: Vec<Point> = room.foci.iter().map(|focus| focus.point).collect();
+        for focus in &mut room.foci {
+            focus.point += Vector3::from_fn(|_, _| normal(focus_sd_m));
+        }
+        let longer_m =
+            |station: Point, place: usize| (known[place] - station).norm() - (room.foci[place].point - station).norm();
+        // Profiles by turns have one delay or the other.
+        for (n, profile) in profiles.iter_mut().enumerate() {
+            let [a, b] = profile.foci;
+            profile.low_m += longer_m(source, a) + longer_m(sensor, b) + late_m[n % 2];
+        }
+        let ends = (0..profiles.len()).map(|n| Ends { source, sensor, delay: Some((n % 2, delay_sd_m)) }).collect();
+        let foci_m2 = DMatrix::identity(24, 24) * (focus_sd_m * focus_sd_m);
+        let place = likeliest(&profiles, &room).unwrap();
+        let gained_m2 = gained_m2(place.point, &profiles, &room, &Shared { foci_m2, profiles: ends, delays: 2 });
+        let whole = Faint { covariance: place.covariance + gained_m2, ..place };
+        for (sum, place) in squares.iter_mut().zip([whole, place]) {
+            *sum += squared(&place, &hidden) / 3.0 / f64::from(count as u32);
+        }
+    }
+    eprintln!("squared errors over covariances: {squares:.2?} with and without the errors that profiles share");
+    assert!((0.6..1.5).contains(&squares[0]) && squares[1] > 2.0, "{squares:?}");
 }
 
 /// The evidence is the integral that it claims to be, and nothing near is likelier. Compared with a grid over all

@@ -6,8 +6,10 @@ use std::ops::Range;
 use crate::signal::average::{Mean, PHASES};
 use crate::signal::codes::Codes;
 use crate::signal::dark::{self, Dark};
+use crate::signal::merge_ranges;
 use crate::signal::noise;
 use crate::signal::noise_model::{self, NoiseModel};
+use crate::signal::resample;
 use crate::signal::shot_spread::{self, OwnNoise, Spread};
 use crate::signal::slow_noise::SlowNoise;
 use crate::tables::Trace;
@@ -27,7 +29,7 @@ const MOVES_MAX: f64 = 1.5;
 /// Rounding errors of neighbouring samples are alike where a signal moves by less than a step from one to the next, and
 /// so count for fewer: for so many times less.
 const ROUNDING_ALIKE: f64 = 4.0;
-/// Standard deviations of a shot up to which the mean counts as dark, where slow noise is sought.
+/// Standard deviations of a shot, its offset apart, up to which the mean counts as dark, where slow noise is sought.
 const DARK_SIGMA: f64 = 3.0;
 
 /// Terms of the model.
@@ -70,9 +72,7 @@ pub struct Judges<'a> {
 impl Judges<'_> {
     /// Slow noise, and each shot less mean, offset and slow noise; `None` where noise is fast alone.
     pub fn slow(&self) -> Option<Slow> {
-        let sd = self.spread.mean_square.sqrt();
-        let is_dark = |(mean, clear): (&f64, &bool)| *clear && (mean - self.level).abs() < DARK_SIGMA * sd;
-        let is_dark: Vec<bool> = self.mean.mean.iter().zip(self.clear).map(is_dark).collect();
+        let is_dark = self.darkness();
         let noise = SlowNoise::of(&self.spread.differences, &is_dark)?;
         let mut dark = dark_runs(&is_dark);
         if dark.is_empty() {
@@ -86,6 +86,15 @@ impl Judges<'_> {
         let given_back = |values: &[f64]| values.iter().map(|value| value * scale * scale).collect::<Vec<f64>>();
         let lacking = given_back(&noise.lacking(&dark, ACF_LAGS));
         Some(Slow { variances: given_back(&noise.variances), fast, dark, lacking })
+    }
+
+    /// Which places are dark. Where a pulse is too fast for its sampling, the filter that aligns shots rings as far as it
+    /// reaches, in each shot by its phase, and that is no noise.
+    fn darkness(&self) -> Vec<bool> {
+        let sd = self.spread.usual_variance().sqrt();
+        let is_lit = |(mean, clear): (&f64, &bool)| !clear || (mean - self.level).abs() >= DARK_SIGMA * sd;
+        let lit: Vec<bool> = self.mean.mean.iter().zip(self.clear).map(is_lit).collect();
+        merge_ranges::valid(&lit, resample::TAPS / 2, resample::TAPS / 2)
     }
 
     /// Variance of a record as a function of level and slope. What grows with the light may come from pulses that are
@@ -249,4 +258,65 @@ fn exceeds(stretches: &[Vec<f64>], step: f64) -> bool {
 /// Whether a coefficient exceeds what its error makes of none, where so many samples tell as much as one.
 fn is_claimed(value: f64, model: &NoiseModel, term: usize, alike: f64) -> bool {
     value > CLAIM_SIGMA * (alike * model.covariance[term][term]).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+    use crate::signal::average::PhaseSums;
+    use crate::signal::shot_spread::HEAD_SHOTS;
+
+    const SAMPLES: usize = 480;
+    const DARK: Dark = Dark { place: None, samples: 48 };
+
+    /// Shots of white noise of 20 codes under a pulse of that many, faster than its sampling, each with an offset of
+    /// that many codes and an own phase.
+    fn pulses(height: f64, offset: f64) -> Vec<(Vec<u8>, i64)> {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut shot = || {
+            let position = rng.random_range(-32..32_i64);
+            let middle = 200.0 - position as f64 / PHASES as f64;
+            let hum = offset * rng.random_range(-1.0..1.0);
+            let mut code = |n: usize| {
+                let (normal, late): (f64, f64) = (StandardNormal.sample(&mut rng), n as f64 - middle);
+                let pulse = if late < 0.0 { (-0.5 * (late / 0.6).powi(2)).exp() } else { (-late / 2.2).exp() };
+                ((height * pulse + hum + 20.0 * normal).round() as i16).to_le_bytes()
+            };
+            ((0..SAMPLES).flat_map(&mut code).collect(), position)
+        };
+        (0..HEAD_SHOTS).map(|_| shot()).collect()
+    }
+
+    /// Offsets that move shots by many times their noise make no light dark: what its sampling leaves of a strong pulse
+    /// is neither slow noise nor fast.
+    #[test]
+    fn a_strong_pulse_is_not_dark_where_hum_moves_shots() {
+        for offset in [0.0, 2000.0] {
+            let shots = pulses(24_000.0, offset);
+            let shots: Vec<(Codes<'_>, i64)> = shots.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).collect();
+            let mut sums = PhaseSums::new(SAMPLES);
+            shots.iter().for_each(|(codes, position)| sums.add(*codes, *position));
+            let mean = sums.finish().unwrap();
+            let spread = Spread::of(&shots, &mean, &DARK);
+            let of_mean = &mean.mean[DARK.of_mean(&mean)];
+            let judges = Judges {
+                shots: &shots,
+                level: of_mean.iter().sum::<f64>() / of_mean.len() as f64,
+                clear: &vec![true; mean.mean.len()],
+                mean: &mean,
+                spread: &spread,
+                dark: &DARK,
+                first: &Trace { gain_v: 1.0, dt_ps: 50.0, ..Trace::default() },
+            };
+            let slow = judges.slow();
+            assert!(slow.is_none(), "{offset}: {:?}", slow.map(|slow| slow.variances));
+            let is_dark = judges.darkness();
+            let lit: Vec<usize> = (0..is_dark.len()).filter(|n| !is_dark[*n]).collect();
+            assert!((190..222).all(|n| lit.contains(&n)) && lit.len() < 80, "{lit:?}");
+        }
+    }
 }

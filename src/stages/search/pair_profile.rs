@@ -35,6 +35,11 @@ pub(super) struct PairProfile {
     pub(super) shots: i32,
     pub(super) acquired_at: Option<String>,
     pub(super) response: Response,
+    /// Laser and sensor.
+    pub(super) stations: [Point; 2],
+    pub(super) sensor: SensorRange,
+    /// Standard deviation of its delay.
+    delay_sd_ps: f64,
     /// Times begin when light leaves the lit patch, and the way from the seen one to the sensor is taken off.
     flight: FlightProfile,
     medium: Medium,
@@ -76,7 +81,8 @@ impl Context {
     ) -> Option<Result<Result<PairProfile, String>, StageError>> {
         let (lit, seen) = (*points.get(&profile.lit)?, *points.get(&profile.seen)?);
         let stations = &self.fields.of(&profile.campaign).stations;
-        let legs_m = (lit - stations.source()).norm() + (seen - stations.sensor(&profile.sensor)?).norm();
+        let stations = [stations.source(), stations.sensor(&profile.sensor)?];
+        let legs_m = (lit - stations[0]).norm() + (seen - stations[1]).norm();
         let Some(calibrated) = self.sensors.of(profile) else {
             let (sensor, campaign) = (&profile.sensor, &profile.campaign);
             let text = format!(
@@ -84,7 +90,7 @@ impl Context {
             );
             return Some(Err(StageError::Refused(text)));
         };
-        Some(Ok(self.ready(profile, calibrated, legs_m)))
+        Some(Ok(self.ready(profile, calibrated, stations, legs_m)))
     }
 
     /// A profile made ready, or why it cannot be searched. `legs_m`: from the laser to the lit patch, and from the seen
@@ -93,6 +99,7 @@ impl Context {
         &self,
         profile: &Profile,
         (key, sensor): (&SensorRange, &Calibrated),
+        stations: [Point; 2],
         legs_m: f64,
     ) -> Result<PairProfile, String> {
         let Fields { medium, repetition_ps, .. } = self.fields.of(&profile.campaign);
@@ -117,7 +124,8 @@ impl Context {
         for impulse in impulses {
             add_misfit(&mut flight, &own_v, &response, impulse);
         }
-        let legs_ps = medium.time_ps(legs_m) + self.delays.delay_ps(profile, profile.acquired_at.as_deref()).0;
+        let (delay_ps, delay_sd_ps) = self.delays.delay_ps(profile, profile.acquired_at.as_deref());
+        let legs_ps = medium.time_ps(legs_m) + delay_ps;
         flight.t0_ps -= legs_ps;
         Ok(PairProfile {
             lit: profile.lit,
@@ -125,6 +133,9 @@ impl Context {
             shots: profile.shots,
             acquired_at: profile.acquired_at.as_deref().map(str::to_owned),
             response,
+            stations,
+            sensor: profile.sensor_range(),
+            delay_sd_ps,
             flight,
             medium: *medium,
             transmission: 10_f64.powf(-profile.attenuation_od.unwrap_or(0.0)),
@@ -170,6 +181,11 @@ impl PairProfile {
     fn end_ps(&self) -> f64 {
         let FlightProfile { mean_v, t0_ps, dt_ps, .. } = &self.flight;
         t0_ps + dt_ps * (mean_v.len() as f64 - 1.0) - self.response.peak_ps()
+    }
+
+    /// Standard deviation of its delay, as a length.
+    pub(super) fn delay_sd_m(&self) -> f64 {
+        self.medium.path_m(self.delay_sd_ps)
     }
 
     /// Scores of one more pulse by the length of its way over a hidden place.

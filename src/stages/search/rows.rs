@@ -1,5 +1,7 @@
 //! Patches of a search, and the place that is not sure enough, as rows and in words.
 
+use nalgebra::Matrix3;
+
 use super::pair_profile::PairProfile;
 use crate::geometry::faint::Faint;
 use crate::priors::{acquisition_time, covariances};
@@ -12,9 +14,16 @@ struct Declined {
     growth: f64,
 }
 
+/// A place that is one, and what errors that profiles share add to its covariance, m^2.
+struct FoundPatch {
+    patch: PatchId,
+    place: Faint,
+    gained_m2: Matrix3<f64>,
+}
+
 /// Patches, and the place that is not sure enough.
 pub(super) struct SearchRows {
-    patches: Vec<(PatchId, Faint)>,
+    patches: Vec<FoundPatch>,
     declined: Option<Declined>,
     /// Evidence that a patch needs.
     needed: f64,
@@ -31,11 +40,12 @@ impl SearchRows {
         Self { patches: Vec::new(), declined: None, needed, shots, hours: hours(pairs) }
     }
 
-    /// Takes a place as a patch, if it is sure enough; otherwise as the one that is not.
-    pub(super) fn add(&mut self, patch: PatchId, place: Faint, dimensions: usize) -> bool {
+    /// Takes a place as a patch, if it is sure enough; otherwise as the one that is not. `gained_m2` is what the place
+    /// gains in covariance by errors that profiles share.
+    pub(super) fn add(&mut self, patch: PatchId, place: Faint, gained_m2: Matrix3<f64>, dimensions: usize) -> bool {
         let is_sure = place.evidence > self.needed;
         if is_sure {
-            self.patches.push((patch, place));
+            self.patches.push(FoundPatch { patch, place, gained_m2 });
         } else {
             self.declined = Some(Declined { place, growth: place.growth(self.needed, dimensions) });
         }
@@ -44,15 +54,15 @@ impl SearchRows {
 
     /// Rows of the patches.
     pub(super) fn patches(&self) -> impl Iterator<Item = Patch> {
-        let row = |(patch, place): &(PatchId, Faint)| {
-            covariances::patch_row(*patch, "hidden", place.point, Some(&place.covariance))
+        let row = |FoundPatch { patch, place, gained_m2 }: &FoundPatch| {
+            covariances::patch_row(*patch, "hidden", place.point, Some(&(place.covariance + gained_m2)))
         };
         self.patches.iter().map(row)
     }
 
     /// Rows of all places.
     pub(super) fn hypotheses(&self) -> Vec<Hypothesis> {
-        let accepted = self.patches.iter().map(|(patch, place)| (Some(*patch), place, None));
+        let accepted = self.patches.iter().map(|found| (Some(found.patch), &found.place, None));
         let declined = self.declined.iter().map(|declined| (None, &declined.place, Some(declined.growth)));
         let row = |(n, (patch, place, growth)): (usize, (Option<PatchId>, &Faint, Option<f64>))| {
             let evidence = [place.evidence, self.needed];
