@@ -111,10 +111,10 @@ impl Instrument {
                 calibrated: shape.widened(30.0),
                 ..kind("jitter of 30 ps")
             },
-            stretched(1.02, "response told 2 % too wide"),
-            stretched(0.98, "response told 2 % too narrow"),
-            stretched(1.05, "response told 5 % too wide"),
-            stretched(0.95, "response told 5 % too narrow"),
+            stretched(1.02, "response given 2 % too wide"),
+            stretched(0.98, "response given 2 % too narrow"),
+            stretched(1.05, "response given 5 % too wide"),
+            stretched(0.95, "response given 5 % too narrow"),
             Self { own: shape.with_echo(600.0, 0.01), ..kind("echo of -40 dB after 0.6 ns") },
             Self { own: shape.with_tail(1000.0, 0.01), ..kind("tail of 1 %, 1 ns") },
             Self { jitter_ps: 30.0, ..kind("jitter of 30 ps since calibration") },
@@ -353,8 +353,8 @@ fn coarse_converters_have_the_noise_of_rounding() {
 #[test]
 fn a_response_that_the_scene_contradicts_is_corrected() {
     for name in [
-        "response told 5 % too narrow",
-        "response told 5 % too wide",
+        "response given 5 % too narrow",
+        "response given 5 % too wide",
         "echo of -40 dB after 0.6 ns",
         "tail of 1 %, 1 ns",
     ] {

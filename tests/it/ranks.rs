@@ -181,13 +181,15 @@ impl Instrument {
         )
     }
 
-    /// Adds to the shots of a file what the simulator does not know: noise that is not white, and a slope.
+    /// Adds to the shots of a file what the simulator does not know: noise that is not white, and a slope. What is at the
+    /// converter's rails stays there.
     fn spoil(&self, file: &Path, rng: &mut ChaCha8Rng) {
         let mut bytes = fs::read(file).unwrap();
         // A sequence ends with its shots.
         let first = bytes.len() - 2 * SHOTS * SAMPLES;
         let unit = self.noise_v * STORED / FULL_SCALE_V;
         let step = STORED / f64::from(1 << self.bits);
+        let rails = [-0.5 * STORED, 0.5 * STORED - step];
         let turns = |ghz: f64| (0..SAMPLES).map(move |n| (TAU * ghz * 0.05 * n as f64).sin_cos());
         let waves: Vec<Vec<(f64, f64)>> = self.lines.iter().map(|(_, ghz)| turns(*ghz).collect()).collect();
         for shot in bytes[first..].chunks_exact_mut(2 * SAMPLES) {
@@ -197,8 +199,11 @@ impl Instrument {
                 added.iter_mut().zip(wave).for_each(|(sum, (sin, cos))| *sum += sine * sin + cosine * cos);
             }
             for (code, added) in shot.chunks_exact_mut(2).zip(added) {
-                let value = f64::from(i16::from_le_bytes([code[0], code[1]])) + unit * added;
-                code.copy_from_slice(&(((value / step).round() * step) as i16).to_le_bytes());
+                let value = f64::from(i16::from_le_bytes([code[0], code[1]]));
+                if (rails[0] + step..rails[1]).contains(&value) {
+                    let moved = ((value + unit * added) / step).round() * step;
+                    code.copy_from_slice(&(moved.clamp(rails[0], rails[1]) as i16).to_le_bytes());
+                }
             }
         }
         fs::write(file, bytes).unwrap();
