@@ -21,8 +21,9 @@
 //! common to all profiles, and travel to the new patches. Without `covariances` those of patches count as independent,
 //! without `delays` delays count as known. Writes all `patches`, new ones added, and `hypotheses`.
 //!
-//! Not modelled: what errors of patches and of delays have in common with each other; footprints (`spread_ps` is the spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps;
-//! photon counts; fourth and later bounces too weak to be fitted.
+//! Not modelled: what errors of patches and of delays have in common with each other; footprints (`spread_ps` is the
+//! spread of a hidden patch's light in time, the same in all profiles); records that a laser's period wraps; photon
+//! counts; fourth and later bounces too weak to be fitted.
 //!
 //! ```toml
 //! [found]

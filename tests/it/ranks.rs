@@ -181,8 +181,8 @@ impl Instrument {
         )
     }
 
-    /// Adds to the shots of a file what the simulator does not know: noise that is not white, and a slope. What is at the
-    /// converter's rails stays there.
+    /// Adds to the shots of a file what the simulator does not know: noise that is not white, and a slope. What the
+    /// converter clipped stays at its rails.
     fn spoil(&self, file: &Path, rng: &mut ChaCha8Rng) {
         let mut bytes = fs::read(file).unwrap();
         // A sequence ends with its shots.
