@@ -39,7 +39,7 @@ fn from_files(seeds: u64) {
     let planes: Vec<f64> = all.iter().filter_map(|drawn| drawn.plane.map(|(_, rms_m)| 1e3 * rms_m)).collect();
     let on_plane: usize = all.iter().filter_map(|drawn| drawn.plane.map(|(patches, _)| patches)).sum();
     println!(
-        "| scenes | patches found | found beside them | median error (mm) | 90 % (mm) | rms (mm) | rms of the standard deviations (mm) | squared error / covariance, a coordinate | within the ellipsoid of 95 % | rms bound (mm) | told to lie on the plane | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
+        "| scenes | patches found | false patches | median error (mm) | 90 % (mm) | rms (mm) | rms of the standard deviations (mm) | squared error / covariance, a coordinate | within the ellipsoid of 95 % | rms bound (mm) | assigned to the plane | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
     );
     println!(
         "| {seeds} | {} of {} | {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {within} | {:.2} | {on_plane} | {:.2} |",
@@ -59,7 +59,7 @@ fn from_files(seeds: u64) {
 
 fn from_onsets(seeds: u64) {
     println!(
-        "\n| onset noise (ps) | labels | scenes | without solution | patches found | found beside them | rms error (mm) | bound (mm) | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|"
+        "\n| onset noise (ps) | labels | scenes | without solution | patches found | false patches | rms error (mm) | bound (mm) | off the plane, rms (mm) |\n|---|---|---|---|---|---|---|---|---|"
     );
     for noise_ps in NOISES_PS {
         for (labels, rank) in [("by likelihood", false), ("by order of arrival", true)] {
