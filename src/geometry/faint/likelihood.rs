@@ -52,8 +52,8 @@ impl Profile {
         self.low_m + self.step_m * (self.scores.len() as f64 - 1.0)
     }
 
-    /// Score of a patch that is so far from each focus, and what a unit of strength adds to it; `None` where the profile
-    /// could not have recorded it.
+    /// Score of a patch that is so far from each focus, and what a unit of strength adds to it; `None` where the
+    /// profile could not have recorded it.
     pub(super) fn signal(&self, legs_m: &[Option<f64>]) -> Option<(f64, f64)> {
         let (a, b) = (legs_m[self.foci[0]]?, legs_m[self.foci[1]]?);
         let (score, gain) = self.at(a + b)?;

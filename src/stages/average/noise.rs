@@ -88,8 +88,8 @@ impl Judges<'_> {
         Some(Slow { variances: given_back(&noise.variances), fast, dark, lacking })
     }
 
-    /// Which places are dark. Where a pulse is too fast for its sampling, the filter that aligns shots rings as far as it
-    /// reaches, in each shot by its phase, and that is no noise.
+    /// Which places are dark. Where a pulse is too fast for its sampling, the filter that aligns shots rings as far as
+    /// it reaches, in each shot by its phase, and that is no noise.
     fn darkness(&self) -> Vec<bool> {
         let sd = self.spread.usual_variance().sqrt();
         let is_lit = |(mean, clear): (&f64, &bool)| !clear || (mean - self.level).abs() >= DARK_SIGMA * sd;
