@@ -117,8 +117,8 @@ fn without_baseline(codes: Codes<'_>, position: i64, dark: &Dark) -> Vec<f64> {
     values
 }
 
-/// The upper median; reorders the values.
-fn middle(values: &mut [f64]) -> f64 {
+/// The upper median of one value or more; reorders them.
+pub(crate) fn middle(values: &mut [f64]) -> f64 {
     let half = values.len() / 2;
     *values.select_nth_unstable_by(half, f64::total_cmp).1
 }

@@ -4,6 +4,7 @@ use super::average::{Mean, PHASES};
 use super::block_means::BlockMeans;
 use super::codes::Codes;
 use super::dark::Dark;
+use super::outlying::middle;
 use super::resample;
 use super::sums::sum;
 use super::widest::widest;
@@ -60,8 +61,7 @@ impl Spread {
         if known.is_empty() {
             return 0.0;
         }
-        let half = known.len() / 2;
-        *known.select_nth_unstable_by(half, f64::total_cmp).1
+        middle(&mut known)
     }
 }
 
