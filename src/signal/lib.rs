@@ -85,6 +85,7 @@ pub mod fft;
 pub mod fold;
 pub mod image;
 pub mod largest;
+pub mod median;
 pub mod merge_ranges;
 pub mod noise;
 pub mod noise_model;

@@ -3,6 +3,7 @@
 use super::average::PHASES;
 use super::codes::Codes;
 use super::dark::Dark;
+use super::median::upper_median;
 use super::shot_spread::step;
 
 /// Fewer shots say nothing about outliers.
@@ -43,7 +44,7 @@ impl OutlierTest {
             .map(|(codes, position)| (nearest(*position), without_baseline(*codes, *position, &dark)))
             .collect();
         // Where most shots begin and end: single shots far off do not shrink the test.
-        let first = middle(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
+        let first = upper_median(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
         let count = shots[0].0.len();
         let mut median = vec![0.0; count];
         let mut deviations = Vec::with_capacity(count);
@@ -58,12 +59,12 @@ impl OutlierTest {
             if column.len() < JUDGES_MIN {
                 return None;
             }
-            *median = middle(&mut column);
+            *median = upper_median(&mut column);
             column.iter_mut().for_each(|value| *value = (*value - *median).abs());
-            deviations.push(middle(&mut column));
+            deviations.push(upper_median(&mut column));
         }
         // A median deviation of 0 says only that half of the normal noise lies within half a step.
-        let scale = (1.4826 * middle(&mut deviations.clone())).max(QUIET_SD * step(shots));
+        let scale = (1.4826 * upper_median(&mut deviations.clone())).max(QUIET_SD * step(shots));
         let slope = |n: usize| {
             let neighbour = |m: usize| (median[m.min(count - 1)] - median[n]).abs();
             neighbour(n + 1).max(neighbour(n.saturating_sub(1)))
@@ -83,7 +84,7 @@ impl OutlierTest {
             (own.powi(2) - (energy * median[n]).powi(2)).max(0.0).sqrt() / slope(n)
         };
         let mut delays: Vec<f64> = (0..count).filter(is_steep).map(delay).collect();
-        let late = if delays.is_empty() { 0 } else { (LATE_SIGMA * middle(&mut delays)).ceil() as i64 };
+        let late = if delays.is_empty() { 0 } else { (LATE_SIGMA * upper_median(&mut delays)).ceil() as i64 };
         let margin: Vec<f64> = (0..count).map(|n| sigma * common(n).unwrap_or(scale) + slope(n)).collect();
         let low = median.iter().zip(&margin).map(|(median, margin)| median - margin).collect();
         let high = median.iter().zip(&margin).map(|(median, margin)| median + margin).collect();
@@ -115,12 +116,6 @@ fn without_baseline(codes: Codes<'_>, position: i64, dark: &Dark) -> Vec<f64> {
     let own = of_shot.iter().sum::<f64>() / of_shot.len() as f64;
     values.iter_mut().for_each(|value| *value -= own);
     values
-}
-
-/// The upper median of one value or more; reorders them.
-pub(crate) fn middle(values: &mut [f64]) -> f64 {
-    let half = values.len() / 2;
-    *values.select_nth_unstable_by(half, f64::total_cmp).1
 }
 
 #[cfg(test)]

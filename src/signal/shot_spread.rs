@@ -4,7 +4,7 @@ use super::average::{Mean, PHASES};
 use super::block_means::BlockMeans;
 use super::codes::Codes;
 use super::dark::Dark;
-use super::outlying::middle;
+use super::median::upper_median;
 use super::resample;
 use super::sums::sum;
 use super::widest::widest;
@@ -61,7 +61,7 @@ impl Spread {
         if known.is_empty() {
             return 0.0;
         }
-        middle(&mut known)
+        upper_median(&mut known)
     }
 }
 

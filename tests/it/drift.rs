@@ -63,15 +63,24 @@ fn lab(scene: &str, pipeline: &str, seed: u64, has_times: bool) -> Option<Lab> {
 fn measured(lab: &Lab) -> Outcome {
     let patches: Vec<Patch> = lab.rows("out", "patches");
     let truth: Vec<Patch> = lab.truth();
-    let place = |patch: &Patch| truth.iter().find(|row| row.patch == patch.patch && patch.alternative == 0);
-    let pairs: Vec<(&Patch, &Patch)> = patches.iter().filter_map(|patch| Some((patch, place(patch)?))).collect();
-    let points: Vec<_> = pairs.iter().map(|(patch, _)| position(patch)).collect();
-    let targets: Vec<_> = pairs.iter().map(|(_, truth)| position(truth)).collect();
+    // Visible patches have their numbers, and fix the turn; hidden ones are numbered as they are found.
+    let best = || patches.iter().filter(|patch| patch.alternative == 0);
+    let own = |patch: &Patch| truth.iter().find(|row| row.patch == patch.patch && &*patch.kind == "visible");
+    let visible: Vec<(&Patch, &Patch)> = best().filter_map(|patch| Some((patch, own(patch)?))).collect();
+    let points: Vec<_> = visible.iter().map(|(patch, _)| position(patch)).collect();
+    let targets: Vec<_> = visible.iter().map(|(_, truth)| position(truth)).collect();
     let turn = aligning(&points, &targets);
+    let error = |patch: &Patch, truth: &Patch| position(patch) - turn.transpose() * position(truth);
+    let nearest = |patch: &Patch| {
+        let hidden = truth.iter().filter(|row| &*row.kind == "hidden");
+        hidden.min_by(|a, b| error(patch, a).norm().total_cmp(&error(patch, b).norm()))
+    };
+    let found = best().filter(|patch| &*patch.kind == "hidden").filter_map(|patch| Some((patch, nearest(patch)?)));
+    let pairs: Vec<(&Patch, &Patch)> = visible.iter().copied().chain(found).collect();
     let (mut squares_m2, mut stated_m2, mut inside) = (0.0, 0.0, 0);
-    for ((patch, _), (point, target)) in pairs.iter().zip(points.iter().zip(&targets)) {
+    for (patch, truth) in &pairs {
         let Some(covariance) = covariance_m2(patch) else { continue };
-        let error = point - turn.transpose() * target;
+        let error = error(patch, truth);
         squares_m2 += error.norm_squared();
         stated_m2 += covariance.trace();
         let within = covariance.try_inverse().map(|inverse| (error.transpose() * inverse * error)[0]);

@@ -1,6 +1,7 @@
 //! Response, arrival and noise from shots of voltages.
 
 use super::{Estimate, Reference, Shots};
+use crate::signal::median::upper_median;
 use crate::signal::noise;
 use crate::signal::noise_model::{self, Spread};
 use crate::signal::oversample::{self, Shape, Shot};
@@ -94,17 +95,12 @@ fn without_strays(shots: Vec<Shot>, dt_ps: f64, template: &Response) -> Vec<Shot
 /// deviation is a floor.
 fn within(values: &[Option<(f64, f64)>]) -> Vec<bool> {
     let fitted = || values.iter().flatten();
+    let middle = |mut values: Vec<f64>| upper_median(&mut values);
     let median = middle(fitted().map(|(value, _)| *value).collect());
     let deviation = middle(fitted().map(|(value, _)| (value - median).abs()).collect());
     let own = middle(fitted().map(|(_, sd)| *sd).collect());
     let limit = STRAY_SIGMA * (1.4826 * deviation).max(own);
     values.iter().map(|value| value.is_some_and(|(value, _)| (value - median).abs() <= limit)).collect()
-}
-
-/// The upper median.
-fn middle(mut values: Vec<f64>) -> f64 {
-    let half = values.len() / 2;
-    *values.select_nth_unstable_by(half, f64::total_cmp).1
 }
 
 /// Mean time of the response in the shots, and its standard deviation from their spread. Where single shots are too
