@@ -29,8 +29,12 @@ const FACES_ERROR: f64 = 0.05;
 pub const MOST_ERROR: f64 = 0.36;
 /// An edge that lies so far behind the nearest point, in radii of the zone, takes nothing from first light.
 const UNSEEN: f64 = 3.0;
-/// Power of the likelihood by which a sheet and a block are distinguished.
+/// Power of the likelihood by which a sheet and a block are distinguished, and the most by which one place counts: where
+/// both laws are off, a few places with much light would decide.
 const FACES_TEMPER: f64 = 0.3;
+const MOST_OF_ONE: f64 = 3.0;
+/// By so much a standard deviation changes the logarithm of the odds, nearly.
+const ODDS: f64 = 1.702;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
 const LEAST_SD: f64 = 0.05;
 const BEYOND: f64 = 1e-3;
@@ -160,8 +164,20 @@ pub fn again(
     Some(Again { returns: if flat.is_block { [other, own] } else { [own, other] }, law_m2 })
 }
 
+/// Logarithm of the odds of one law against another, by how much likelier it is at each place. Both are first orders:
+/// odds are no larger than the spread over places allows, as of a mean whose standard deviation is not known.
+fn evidence(places: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for more in places.map(|more| more.clamp(-MOST_OF_ONE, MOST_OF_ONE)) {
+        sum += more;
+        squares += more * more;
+    }
+    let most = ODDS * f64::abs(sum) / f64::max(squares, f64::MIN_POSITIVE).sqrt();
+    (FACES_TEMPER * sum).clamp(-most, most)
+}
+
 /// Lengths under the laws of flat faces, mixed with those without them by their shares. Whether faces are those of a
-/// sheet or of a block is seen by the likelihoods of neighbours, unless lengths show it.
+/// sheet or of a block is seen by the likelihoods of neighbours that see the same faces, unless lengths show it.
 pub fn mixed(
     scan: &Scan,
     near: &[Vec<u32>],
@@ -173,12 +189,12 @@ pub fn mixed(
     let of_place = |n: usize| {
         let without = Sample { weighted_m: without[n].sd_m.hypot(without[n].law_m), ..without[n] };
         let Some((own, flat)) = again[n].zip(choices[n].flat) else { return without };
-        let more = |other: &u32| {
-            again[*other as usize]
-                .map_or(0.0, |again| again.returns[1].log_likelihood - again.returns[0].log_likelihood)
-        };
-        let more: f64 = near[n].iter().take(POOL).map(more).sum();
-        let block = if flat.field.is_block { 1.0 } else { 1.0 / (1.0 + (-(FACES_TEMPER * more)).exp()) };
+        let about = near[n].iter().take(POOL).filter(|other| flat.members.binary_search(other).is_ok());
+        let more = evidence(about.filter_map(|other| {
+            let [sheet, block] = again[*other as usize]?.returns;
+            Some(block.log_likelihood - sheet.log_likelihood)
+        }));
+        let block = if flat.field.is_block { 1.0 } else { 1.0 / (1.0 + (-more).exp()) };
         let rest = 1.0 - choices[n].share;
         let of_faces = |share: f64, one: &Return| {
             (choices[n].share * share, half * one.length_m, half * one.sd_m, half * half * own.law_m2)

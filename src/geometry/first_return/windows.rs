@@ -80,6 +80,7 @@ pub struct Chosen<F> {
     /// The place about which it was fitted.
     pub centre: u32,
     pub field: F,
+    /// Sorted.
     pub members: Arc<[u32]>,
     pub way: Way,
     /// Fields that other windows say, and the share of their difference that is bias.
@@ -306,6 +307,7 @@ impl<F: Local, S: Fn(&[u32]) -> Option<Likeliest<F>>, A: Fn(&F, &[u32]) -> bool>
         if sizes[at] > FITTED {
             members = self.followers(&field, &self.nearest(side, sizes[at]));
         }
+        members.sort_unstable();
         Some(Chosen { centre: self.place as u32, field, members: members.into(), way: self.way, others })
     }
 }
