@@ -68,6 +68,10 @@ pub const LEAST: usize = 16;
 
 /// Of so many nearest places, itself with them, one tells curvatures.
 const CURVED: usize = 3;
+/// Places whose points of bent fields and of flat faces are compared, and their mean chi-square of three coordinates
+/// beyond which they differ.
+const COMPARED: usize = 13;
+const DIFFER: f64 = 3.0;
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
@@ -278,7 +282,22 @@ impl<'a> Rounds<'a> {
         let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
         self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
+        let borne_out = self.borne_out(&bent);
         self.shares = self.shares_of_faces();
+        self.shares.iter_mut().zip(borne_out).for_each(|(share, borne_out)| *share *= borne_out);
+    }
+
+    /// Share of flat faces that bent fields leave, which know nothing of faces: all, or less where points of neighbours
+    /// differ by more than the errors of both.
+    fn borne_out(&self, bent: &[Option<Reading>]) -> Vec<f64> {
+        let off = |(bent, flat): (&Option<Reading>, &Option<Chosen<Flat>>)| flat.as_ref()?.reading().off(bent.as_ref()?);
+        let off: Vec<Option<f64>> = bent.par_iter().zip(&self.flats).map(off).collect();
+        let of_place = |near: &Vec<u32>| {
+            let about = near.iter().take(COMPARED).filter_map(|other| off[*other as usize]);
+            let (sum, count) = about.fold((0.0, 0), |(sum, count), off| (sum + off, count + 1));
+            if sum > DIFFER * f64::from(count) { DIFFER * f64::from(count) / sum } else { 1.0 }
+        };
+        self.wall.near.iter().map(of_place).collect()
     }
 
     /// Standard deviation of the error of the faces' law, as residuals of all faces show it.

@@ -342,7 +342,7 @@ pub struct Reading {
 
 impl Reading {
     /// Chi-square of the difference of two points whose errors are independent; `None` where one has none.
-    fn off(&self, other: &Self) -> Option<f64> {
+    pub fn off(&self, other: &Self) -> Option<f64> {
         let off = self.point - other.point;
         Some(off.dot(&(self.covariance_m2 + other.covariance_m2).cholesky()?.solve(&off)))
     }
