@@ -290,7 +290,8 @@ impl<'a> Rounds<'a> {
     /// Share of flat faces that bent fields leave, which know nothing of faces: all, or less where points of neighbours
     /// differ by more than the errors of both.
     fn borne_out(&self, bent: &[Option<Reading>]) -> Vec<f64> {
-        let off = |(bent, flat): (&Option<Reading>, &Option<Chosen<Flat>>)| flat.as_ref()?.reading().off(bent.as_ref()?);
+        let off =
+            |(bent, flat): (&Option<Reading>, &Option<Chosen<Flat>>)| flat.as_ref()?.reading().off(bent.as_ref()?);
         let off: Vec<Option<f64>> = bent.par_iter().zip(&self.flats).map(off).collect();
         let of_place = |near: &Vec<u32>| {
             let about = near.iter().take(COMPARED).filter_map(|other| off[*other as usize]);

@@ -15,8 +15,8 @@
 //! first, then the same with the rest. Its kind is the likeliest one on the places that it explains, by marginal
 //! likelihoods under the full covariance. A shape is reported only if its kind is much likelier than any other, if its
 //! lengths are those that their errors allow, if the surface does not go on smoothly where the shape no longer follows
-//! it, and if no smooth departure from it is much likelier: bent surfaces are explained piece by piece by any of these
-//! shapes, and are none of them.
+//! it, if no smooth departure from it is much likelier, and if a surface that is bent otherwise than a sphere or a
+//! cylinder is much less likely: bent surfaces are explained piece by piece by any of these shapes, and are none of them.
 //!
 //! Source: consensus as in Fischler and Bolles, Commun. ACM 24:381, 1981, from evenly spread starts in place of random
 //! ones; evidence by Laplace's method, MacKay, Neural Comput. 4:415, 1992.
@@ -48,6 +48,10 @@ use grow::Wall;
 
 /// Logarithm of how much likelier a kind is than the next one.
 const SURE: f64 = 3.0;
+/// By how much the curvature of lengths may be otherwise than that of a sphere or a cylinder, over one over the distance.
+/// Either is reported where it is surely likelier than a surface with such a departure: lengths of a small piece of a
+/// bent surface show no difference.
+const BENT: f64 = 0.1;
 /// Logarithm of how much likelier a smooth departure may be. One that is likelier by less widens the errors.
 const DEPARTS: f64 = 5.0;
 /// Standard deviations of departures that are tried, over the median error of the law.
@@ -235,6 +239,14 @@ fn verdict(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Verdict> {
     let departures = DEPARTURES.map(|share| Excess { departure_m: share * law_m, ..excess });
     let (with, departure) = likeliest(&mut departures.into_iter())?;
     let gain = with - (DEPARTURES.len() as f64).ln() - without;
+    if first.kind.has_radius() {
+        let length_m = median(members.iter().map(|n| wall.sightings[*n as usize].light.length_m).collect());
+        let departure_m = BENT * wall.reach_m(members).powi(2) / (2.0 * length_m);
+        let (bent, _) = evidence(Excess { departure_m, ..excess })?;
+        if without - bent < SURE {
+            return None;
+        }
+    }
     if gain > 0.0 {
         excess = departure;
     }

@@ -212,3 +212,20 @@ pub fn mixed(
     };
     (0..without.len()).into_par_iter().map(of_place).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_few_places_do_not_decide_between_laws() {
+        // A hundred places say no, three with much light say yes.
+        let places = std::iter::repeat_n(-0.5, 100).chain([400.0; 3]);
+        assert!(evidence(places) < -3.0);
+        // Places that contradict one another say nothing sure, however many they are.
+        let odd = (0..1000).map(|n| if n % 2 == 0 { 3.0 } else { -2.9 });
+        assert!(evidence(odd).abs() < 1.0);
+        assert!(evidence(std::iter::empty()).abs() < 1e-9);
+        assert!(evidence(std::iter::repeat_n(0.2, 150)) > 5.0);
+    }
+}

@@ -87,6 +87,31 @@ fn no_field_is_fitted_across_a_valley() {
     assert!(held > 0.9 && median_m < 4e-3, "{held}, {median_m} m");
 }
 
+/// A saddle of half a metre that ends, and whether its nearest point lies within.
+fn saddle(seen: &Point) -> (Point, bool) {
+    let place = |x: f64, y: f64| Point::new(x, y, 0.68 - 0.6 * (x * x - y * y));
+    let at = |n: usize| (n as f64 / 400.0 - 0.5) * 0.5;
+    let all = (0..401 * 401).map(|n| place(at(n % 401), at(n / 401)));
+    let point = all.min_by(|a, b| (a - seen).norm_squared().total_cmp(&(b - seen).norm_squared())).expect("a grid");
+    (point, point.x.abs() < 0.249 && point.y.abs() < 0.249)
+}
+
+#[test]
+fn flat_faces_that_bent_fields_contradict_count_less() {
+    let wall = wall(32, |_, _| 0.0);
+    let truth: Vec<(Point, bool)> = wall.par_iter().map(saddle).collect();
+    let of_place = |seen: &Point| truth[wall.iter().position(|one| one == seen).expect("a place")].0;
+    let points = points(&scan(&wall, Lit::Same, of_place, 2e-3, 7));
+    let holds = |point: &SurfacePoint| {
+        let off = point.point - truth[point.place].0;
+        off.dot(&point.covariance_m2.cholesky().expect("a covariance").solve(&off)) < 7.815
+    };
+    let smooth: Vec<&SurfacePoint> = points.iter().filter(|point| truth[point.place].1).collect();
+    let held = smooth.iter().filter(|point| holds(point)).count();
+    println!("saddle: {held} of {} smooth points hold", smooth.len());
+    assert!(held * 10 > 8 * smooth.len(), "{held} of {}", smooth.len());
+}
+
 #[test]
 fn a_fixed_lit_point_shows_the_point_that_reflects() {
     let lit = Point::new(0.3, 0.2, 0.0);
