@@ -16,7 +16,8 @@
 //! likelihoods under the full covariance. A shape is reported only if its kind is much likelier than any other, if its
 //! lengths are those that their errors allow, if the surface does not go on smoothly where the shape no longer follows
 //! it, if no smooth departure from it is much likelier, and if a surface that is bent otherwise than a sphere or a
-//! cylinder is much less likely: bent surfaces are explained piece by piece by any of these shapes, and are none of them.
+//! cylinder is much less likely: bent surfaces are explained piece by piece by any of these shapes, and are none of
+//! them.
 //!
 //! Source: consensus as in Fischler and Bolles, Commun. ACM 24:381, 1981, from evenly spread starts in place of random
 //! ones; evidence by Laplace's method, MacKay, Neural Comput. 4:415, 1992.
@@ -48,9 +49,9 @@ use grow::Wall;
 
 /// Logarithm of how much likelier a kind is than the next one.
 const SURE: f64 = 3.0;
-/// By how much the curvature of lengths may be otherwise than that of a sphere or a cylinder, over one over the distance.
-/// Either is reported where it is surely likelier than a surface with such a departure: lengths of a small piece of a
-/// bent surface show no difference.
+/// By how much the curvature of lengths may be otherwise than that of a sphere or a cylinder, over one over the
+/// distance. Either is reported where it is surely likelier than a surface with such a departure: lengths of a small
+/// piece of a bent surface show no difference.
 const BENT: f64 = 0.1;
 /// Logarithm of how much likelier a smooth departure may be. One that is likelier by less widens the errors.
 const DEPARTS: f64 = 5.0;

@@ -29,8 +29,8 @@ const FACES_ERROR: f64 = 0.05;
 pub const MOST_ERROR: f64 = 0.36;
 /// An edge that lies so far behind the nearest point, in radii of the zone, takes nothing from first light.
 const UNSEEN: f64 = 3.0;
-/// Power of the likelihood by which a sheet and a block are distinguished, and the most by which one place counts: where
-/// both laws are off, a few places with much light would decide.
+/// Power of the likelihood by which a sheet and a block are distinguished, and the most by which one place counts:
+/// where both laws are off, a few places with much light would decide.
 const FACES_TEMPER: f64 = 0.3;
 const MOST_OF_ONE: f64 = 3.0;
 /// By so much a standard deviation changes the logarithm of the odds, nearly.

@@ -79,8 +79,8 @@ fn saddle(seen: &Point) -> Seen {
     (Point::new(x, y, height_m(x, y)), Part::Smooth)
 }
 
-/// The crest of a wave, which is curved by 3 per metre along and 1.8 per metre across; beyond it no point is known to be
-/// smooth.
+/// The crest of a wave, which is curved by 3 per metre along and 1.8 per metre across; beyond it no point is known to
+/// be smooth.
 fn crest(seen: &Point) -> Seen {
     let height_m = |x: f64, y: f64| 0.65 + 1.5 * x * x + 0.9 * y * y;
     let (mut x, mut y) = (seen.x, seen.y);
