@@ -229,7 +229,8 @@ struct Rounds<'a> {
     samples: Vec<Sample>,
     faces: Vec<Option<Chosen<Flat>>>,
     flats: Vec<Option<Chosen<Flat>>>,
-    /// Shares of these faces, where there are bent fields too.
+    /// Shares of these faces, where there are bent fields too: by likelihood, and those that bent fields bear out.
+    likelihoods: Vec<f64>,
     shares: Vec<f64>,
 }
 
@@ -247,13 +248,14 @@ impl<'a> Rounds<'a> {
         let fields = windows::fields(scan, &first, &wall, (&windows::SIZES, &all), cancel);
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
-        let (flats, shares) = (fields.iter().map(|_| None).collect(), vec![0.0; fields.len()]);
-        Self { scan, wall, first, fields, samples, faces: Vec::new(), flats, shares }
+        let (flats, none) = (fields.iter().map(|_| None).collect(), vec![0.0; fields.len()]);
+        Self { scan, wall, first, fields, samples, faces: Vec::new(), flats, likelihoods: none.clone(), shares: none }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
         let (bent, flat) = (self.fields[place].as_ref(), self.flats[place].as_ref());
-        Choice { bent, flat, share: self.shares[place], samples: &self.samples }
+        let [likelihood, share] = [&self.likelihoods, &self.shares].map(|shares| shares[place]);
+        Choice { bent, flat, likelihood, share, samples: &self.samples }
     }
 
     /// Shares of the flat faces.
@@ -283,8 +285,9 @@ impl<'a> Rounds<'a> {
         self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
         let borne_out = self.borne_out(&bent);
-        self.shares = self.shares_of_faces();
-        self.shares.iter_mut().zip(borne_out).for_each(|(share, borne_out)| *share *= borne_out);
+        self.likelihoods = self.shares_of_faces();
+        let both = self.likelihoods.iter().zip(borne_out);
+        self.shares = both.map(|(likelihood, borne_out)| likelihood * borne_out).collect();
     }
 
     /// Share of flat faces that bent fields leave, which know nothing of faces: all, or less where points of neighbours

@@ -17,10 +17,11 @@ const COMMON: [f64; 2] = [0.05, 0.1];
 /// Share of a kind that is sure.
 const SURE: f64 = 0.9;
 
-/// What explains a place: a bent field, flat faces, and their share.
+/// What explains a place: a bent field, flat faces, their share by likelihood, and that which bent fields bear out.
 pub struct Choice<'a> {
     pub bent: Option<&'a Chosen<Field>>,
     pub flat: Option<&'a Chosen<Flat>>,
+    pub likelihood: f64,
     pub share: f64,
     pub samples: &'a [Sample],
 }
@@ -40,18 +41,20 @@ impl Choice<'_> {
     /// The point of the surface; `None` where nothing explains the place.
     pub fn surface_point(&self, scan: &Scan, place: usize) -> Option<SurfacePoint> {
         let common_m = COMMON.map(|share| share * scan.share() * scan.sigma_m);
-        let parts: Vec<(f64, Reading)> = [
-            self.bent.map(|bent| (1.0 - self.share, bent.reading().and_along(common_m[0]))),
-            self.flat.map(|flat| (self.share, flat.reading().and_along(common_m[1]))),
+        // The point is that of the likelier model: where a face ends, bent fields are off. What the other one says
+        // enters its covariance.
+        let parts: Vec<([f64; 2], Reading)> = [
+            self.bent.map(|bent| ([1.0 - self.likelihood, 1.0 - self.share], bent.reading().and_along(common_m[0]))),
+            self.flat.map(|flat| ([self.likelihood, self.share], flat.reading().and_along(common_m[1]))),
         ]
         .into_iter()
         .flatten()
         .collect();
-        let most = parts.iter().max_by(|a, b| a.0.total_cmp(&b.0))?.1;
-        let mean = |of: &dyn Fn(&Reading) -> Vector3<f64>| parts.iter().map(|(share, one)| of(one) * *share).sum();
+        let most = parts.iter().max_by(|a, b| a.0[0].total_cmp(&b.0[0]))?.1;
+        let mean = |of: &dyn Fn(&Reading) -> Vector3<f64>| parts.iter().map(|([share, _], one)| of(one) * *share).sum();
         let (point, away): (Vector3<f64>, Vector3<f64>) = (mean(&|one| one.point.coords), mean(&|one| one.away));
         let (mut covariance_m2, mut away_covariance) = (Matrix3::zeros(), Matrix3::zeros());
-        for (share, one) in &parts {
+        for ([_, share], one) in &parts {
             let [off, off_away] = [one.point.coords - point, one.away - away];
             covariance_m2 += (one.covariance_m2 + off * off.transpose()) * *share;
             away_covariance += (one.away_covariance + off_away * off_away.transpose()) * *share;
