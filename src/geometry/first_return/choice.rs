@@ -41,8 +41,8 @@ impl Choice<'_> {
     /// The point of the surface; `None` where nothing explains the place.
     pub fn surface_point(&self, scan: &Scan, place: usize) -> Option<SurfacePoint> {
         let common_m = COMMON.map(|share| share * scan.share() * scan.sigma_m);
-        // The point is that of the likelier model: where a face ends, bent fields are off. What the other one says
-        // enters its covariance.
+        // The point is the mean by likelihoods: where a face ends, bent fields are off. The covariance is that about it
+        // of what bent fields bear out.
         let parts: Vec<([f64; 2], Reading)> = [
             self.bent.map(|bent| ([1.0 - self.likelihood, 1.0 - self.share], bent.reading().and_along(common_m[0]))),
             self.flat.map(|flat| ([self.likelihood, self.share], flat.reading().and_along(common_m[1]))),
