@@ -17,6 +17,7 @@
 //! | `choice` | the bent field or the flat faces: the mixture of what both say |
 //! | `dispersion` | how large the error of the law of first light is |
 //! | `laws` | under which law light begins at each point of the wall |
+//! | `odds` | probabilities from odds |
 //!
 //! Where the nearest point jumps from one place to another, the gradient jumps too, and no field may be fitted across.
 //! A window of neighbours starts where one field explains them, on one side if need be, and grows by neighbours that
@@ -43,6 +44,7 @@ mod field;
 mod flat;
 mod laws;
 mod local;
+mod odds;
 mod way;
 mod windows;
 
@@ -68,9 +70,9 @@ pub const LEAST: usize = 16;
 
 /// Of so many nearest places, itself with them, one tells curvatures.
 const CURVED: usize = 3;
-/// Places whose points of bent fields and of flat faces are compared, and their mean chi-square of three coordinates
+/// Neighbours whose points of bent fields and of flat faces are compared, and their mean chi-square of three coordinates
 /// beyond which they differ.
-const COMPARED: usize = 13;
+const NEIGHBOURS: usize = 13;
 const DIFFER: f64 = 3.0;
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
@@ -296,12 +298,16 @@ impl<'a> Rounds<'a> {
         let off =
             |(bent, flat): (&Option<Reading>, &Option<Chosen<Flat>>)| flat.as_ref()?.reading().off(bent.as_ref()?);
         let off: Vec<Option<f64>> = bent.par_iter().zip(&self.flats).map(off).collect();
-        let of_place = |near: &Vec<u32>| {
-            let about = near.iter().take(COMPARED).filter_map(|other| off[*other as usize]);
+        let of_place = |(near, bent): (&Vec<u32>, &Option<Reading>)| {
+            // Where faces alone explain a place, nothing can take their share.
+            if bent.is_none() {
+                return 1.0;
+            }
+            let about = near.iter().take(NEIGHBOURS).filter_map(|other| off[*other as usize]);
             let (sum, count) = about.fold((0.0, 0), |(sum, count), off| (sum + off, count + 1));
             if sum > DIFFER * f64::from(count) { DIFFER * f64::from(count) / sum } else { 1.0 }
         };
-        self.wall.near.iter().map(of_place).collect()
+        self.wall.near.iter().zip(bent).map(of_place).collect()
     }
 
     /// Standard deviation of the error of the faces' law, as residuals of all faces show it.

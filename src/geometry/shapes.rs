@@ -236,10 +236,6 @@ fn verdict(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Verdict> {
     let likeliest = |all: &mut dyn Iterator<Item = Excess>| all.filter_map(evidence).max_by(|a, b| a.0.total_cmp(&b.0));
     let (without, mut excess) =
         likeliest(&mut SCATTERS.iter().map(|scatter| Excess { scatter: *scatter, ..Excess::NONE }))?;
-    let law_m = median(members.iter().map(|n| wall.sightings[*n as usize].light.law_m).collect());
-    let departures = DEPARTURES.map(|share| Excess { departure_m: share * law_m, ..excess });
-    let (with, departure) = likeliest(&mut departures.into_iter())?;
-    let gain = with - (DEPARTURES.len() as f64).ln() - without;
     if first.kind.has_radius() {
         let length_m = median(members.iter().map(|n| wall.sightings[*n as usize].light.length_m).collect());
         let departure_m = BENT * wall.reach_m(members).powi(2) / (2.0 * length_m);
@@ -248,6 +244,10 @@ fn verdict(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Verdict> {
             return None;
         }
     }
+    let law_m = median(members.iter().map(|n| wall.sightings[*n as usize].light.law_m).collect());
+    let departures = DEPARTURES.map(|share| Excess { departure_m: share * law_m, ..excess });
+    let (with, departure) = likeliest(&mut departures.into_iter())?;
+    let gain = with - (DEPARTURES.len() as f64).ln() - without;
     if gain > 0.0 {
         excess = departure;
     }

@@ -5,6 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::field::{Field, Kind};
 use super::flat::Flat;
 use super::local::{Local, Sample};
+use super::odds;
 use super::way::Way;
 use super::windows::{Chosen, Reading};
 use super::{FirstLight, Lit, Scan, SurfacePoint};
@@ -35,7 +36,7 @@ impl Choice<'_> {
         let members = if is_bent { &bent.members } else { &flat.members };
         let of_flat = if is_bent { square(&flat.field, samples[1], members) } else { square_of_faces };
         let more = of_flat - square(&bent.field, samples[0], members);
-        1.0 / (1.0 + (0.5 * TEMPER * more).min(500.0).exp())
+        odds::probability(-0.5 * TEMPER * more)
     }
 
     /// The point of the surface; `None` where nothing explains the place.
@@ -60,7 +61,7 @@ impl Choice<'_> {
             away_covariance += (one.away_covariance + off_away * off_away.transpose()) * *share;
         }
         let kind = self.kind();
-        let is_bent = self.share < 0.5;
+        let is_bent = self.likelihood < 0.5;
         let fitted = if is_bent { self.bent?.field.fitted() } else { self.flat?.field.fitted() };
         let curvatures =
             self.bent.filter(|_| kind == Kind::Smooth && is_bent && matches!(scan.lit, Lit::Same)).map(|bent| {

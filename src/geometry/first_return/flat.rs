@@ -10,6 +10,7 @@ use nalgebra::{Matrix3, Rotation3, SMatrix, Vector3};
 
 use super::field::Kind;
 use super::local::{Fitted, Local, Sample, UNKNOWNS, Unknowns};
+use super::odds;
 use super::way::Way;
 use super::{Face, SurfacePoint};
 use crate::Point;
@@ -188,8 +189,7 @@ impl Flat {
 
     /// Shares of a smooth point, an edge and a corner.
     pub fn kinds(&self) -> [f64; 3] {
-        // About the probability that a standard normal is below this.
-        let within = |z: f64| 1.0 / (1.0 + (-1.702 * z).exp());
+        let within = |z: f64| odds::probability(odds::OF_SD * z);
         let [x, y, z, left, below] = self.beyond(self.zone_m).map(|end| within(end.likeliest() / end.sd.max(1e-9)));
         let [a, b] = [(x + left).min(1.0), (y + below).min(1.0)];
         let c = if self.is_block { z } else { 1.0 };

@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use super::choice::Choice;
 use super::field::Field;
 use super::local::{Local, Sample};
+use super::odds;
 use super::windows::Chosen;
 use super::{Face, Place, Return, Scan};
 
@@ -33,8 +34,6 @@ const UNSEEN: f64 = 3.0;
 /// where both laws are off, a few places with much light would decide.
 const FACES_TEMPER: f64 = 0.3;
 const MOST_OF_ONE: f64 = 3.0;
-/// By so much a standard deviation changes the logarithm of the odds, nearly.
-const ODDS: f64 = 1.702;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
 const LEAST_SD: f64 = 0.05;
 const BEYOND: f64 = 1e-3;
@@ -172,7 +171,7 @@ fn evidence(places: impl Iterator<Item = f64>) -> f64 {
         sum += more;
         squares += more * more;
     }
-    let most = ODDS * f64::abs(sum) / f64::max(squares, f64::MIN_POSITIVE).sqrt();
+    let most = odds::OF_SD * f64::abs(sum) / f64::max(squares, f64::MIN_POSITIVE).sqrt();
     (FACES_TEMPER * sum).clamp(-most, most)
 }
 
@@ -194,7 +193,7 @@ pub fn mixed(
             let [sheet, block] = again[*other as usize]?.returns;
             Some(block.log_likelihood - sheet.log_likelihood)
         }));
-        let block = if flat.field.is_block { 1.0 } else { 1.0 / (1.0 + (-more).exp()) };
+        let block = if flat.field.is_block { 1.0 } else { odds::probability(more) };
         let rest = 1.0 - choices[n].share;
         let of_faces = |share: f64, one: &Return| {
             (choices[n].share * share, half * one.length_m, half * one.sd_m, half * half * own.law_m2)

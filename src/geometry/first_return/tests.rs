@@ -96,12 +96,18 @@ fn saddle(seen: &Point) -> (Point, bool) {
     (point, point.x.abs() < 0.249 && point.y.abs() < 0.249)
 }
 
-#[test]
-fn flat_faces_that_bent_fields_contradict_count_less() {
+/// A wall that sees the saddle, with noise; and of each place the nearest point, and whether it lies within.
+fn saddle_scan() -> (Scan, Vec<(Point, bool)>) {
     let wall = wall(32, |_, _| 0.0);
     let truth: Vec<(Point, bool)> = wall.par_iter().map(saddle).collect();
     let of_place = |seen: &Point| truth[wall.iter().position(|one| one == seen).expect("a place")].0;
-    let points = points(&scan(&wall, Lit::Same, of_place, 2e-3, 7));
+    (scan(&wall, Lit::Same, of_place, 2e-3, 7), truth)
+}
+
+#[test]
+fn flat_faces_that_bent_fields_contradict_count_less() {
+    let (scan, truth) = saddle_scan();
+    let points = points(&scan);
     let holds = |point: &SurfacePoint| {
         let off = point.point - truth[point.place].0;
         off.dot(&point.covariance_m2.cholesky().expect("a covariance").solve(&off)) < 7.815
@@ -110,6 +116,54 @@ fn flat_faces_that_bent_fields_contradict_count_less() {
     let held = smooth.iter().filter(|point| holds(point)).count();
     println!("saddle: {held} of {} smooth points hold", smooth.len());
     assert!(held * 10 > 8 * smooth.len(), "{held} of {}", smooth.len());
+}
+
+#[test]
+fn faces_keep_their_share_where_they_alone_explain_a_place() {
+    let (scan, _) = saddle_scan();
+    let mut rounds = Rounds::new(&scan, &Cancel::never());
+    rounds.fields.iter_mut().step_by(3).for_each(|field| *field = None);
+    rounds.find_faces(&Cancel::never());
+    let (mut alone, mut less) = (0, 0);
+    for place in (0..scan.places.len()).filter(|place| rounds.flats[*place].is_some()) {
+        less += usize::from(rounds.shares[place] < 0.9 * rounds.likelihoods[place]);
+        if rounds.fields[place].is_none() {
+            alone += 1;
+            assert!(rounds.shares[place] == 1.0 && rounds.choice(place).surface_point(&scan, place).is_some());
+        }
+    }
+    assert!(alone > 100 && less > 20, "{alone}, {less}");
+}
+
+/// Two plates with a gap; the second one is told to be a block, and few places say so of the first one, loudly.
+#[test]
+fn a_plate_is_no_block_because_few_places_or_others_say_so() {
+    let plates = [-0.3, 0.3].map(|x| block(Point::new(x, 0.0, 0.6), [0.08, 0.12, 0.0]));
+    let nearest = |seen: &Point| plates[usize::from(seen.x > 0.0)](seen);
+    let scan = scan(&wall(32, |_, _| 0.0), Lit::Same, nearest, 2e-4, 11);
+    let late_m = 3e-3;
+    let timed = |place: usize, laws: &[Vec<Face>], _: f64| {
+        let own = scan.places[place].returns[0];
+        let more = match (scan.places[place].seen.x > 0.0, place % 29) {
+            (true, _) => 2.0,
+            (false, 0) => 500.0,
+            (false, _) => -0.5,
+        };
+        let law = |faces: &Vec<Face>| match faces.len() {
+            1 => own,
+            _ => Return { length_m: own.length_m + late_m, log_likelihood: more, ..own },
+        };
+        laws.iter().map(|faces| Some(law(faces))).collect()
+    };
+    let points = surface_points(&scan, timed, &Cancel::never());
+    let late = |point: &&SurfacePoint| {
+        let seen = scan.places[point.place].seen;
+        point.light.length_m - (nearest(&seen) - seen).norm() > 0.25 * late_m
+    };
+    let of_first: Vec<&SurfacePoint> = points.iter().filter(|point| scan.places[point.place].seen.x < 0.0).collect();
+    let late = of_first.iter().copied().filter(late).count();
+    println!("{late} of {} are late", of_first.len());
+    assert!(of_first.len() > 400 && late * 20 < of_first.len(), "{late} of {}", of_first.len());
 }
 
 #[test]
