@@ -70,8 +70,8 @@ pub const LEAST: usize = 16;
 
 /// Of so many nearest places, itself with them, one tells curvatures.
 const CURVED: usize = 3;
-/// Neighbours whose points of bent fields and of flat faces are compared, and their mean chi-square of three coordinates
-/// beyond which they differ.
+/// Neighbours whose points of bent fields and of flat faces are compared, and their mean chi-square of three
+/// coordinates beyond which they differ.
 const NEIGHBOURS: usize = 13;
 const DIFFER: f64 = 3.0;
 /// Rounds in which first light is timed again under the law of flat faces.
