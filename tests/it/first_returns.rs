@@ -125,6 +125,23 @@ fn both(first: Thing, second: Thing) -> Thing {
     Thing { facets, nearest: Box::new(nearest) }
 }
 
+/// A letter T, of two plates side by side: its bar and its stem. A point where they meet is none of the letter's border.
+fn letter(middle: Point, [right, up]: [Vector3<f64>; 2], pitch_m: f64) -> Thing {
+    let none = Vector3::zeros();
+    let plate =
+        |up_m: f64, half_m: [f64; 2]| cuboid(middle + up * up_m, [right * half_m[0], up * half_m[1], none], pitch_m);
+    let (bar, stem) = (plate(0.15, [0.2, 0.05]), plate(-0.05, [0.05, 0.15]));
+    let facets = bar.facets.iter().chain(&stem.facets).copied().collect();
+    let nearest = move |seen: &Point| {
+        let [of_bar, of_stem] = [&bar, &stem].map(|plate| (plate.nearest)(seen)[0]);
+        let [far_m, near_m] = [of_bar, of_stem].map(|(place, _)| (place - seen).norm());
+        let meets = |other: &Thing, place: Point| ((other.nearest)(&place)[0].0 - place).norm() < 1e-9;
+        let is_border = [far_m <= near_m || !meets(&stem, of_bar.0), near_m <= far_m || !meets(&bar, of_stem.0)];
+        [of_bar, of_stem].into_iter().zip(is_border).filter(|(_, is)| *is).map(|(point, _)| point).collect()
+    };
+    Thing { facets, nearest: Box::new(nearest) }
+}
+
 /// A thing of the study, turned and moved a little by the seed.
 pub fn thing(kind: &str, seed: u64) -> Thing {
     let step = |n: u64| (0.618_034 * (seed * 7 + n) as f64).fract() - 0.5;
@@ -139,6 +156,7 @@ pub fn thing(kind: &str, seed: u64) -> Thing {
             sphere(middle - Vector3::x() * 0.22, 0.12, PITCH_M),
             cuboid(middle + Vector3::x() * 0.22, axes(turn(0.0, 0.3), [0.12, 0.12, 0.0]), PITCH_M),
         ),
+        "letter" => letter(middle, [turn(0.2, 0.2) * Vector3::x(), turn(0.2, 0.2) * Vector3::y()], PITCH_M),
         "wavy" => relief(middle, 0.25, |x, y| 0.015 * (14.0 * x).sin() * (11.0 * y).cos(), PITCH_M),
         "saddle" => relief(middle, 0.25, |x, y| 0.6 * (x * x - y * y), PITCH_M),
         kind => panic!("no surface is called {kind}"),
@@ -387,7 +405,7 @@ fn one_thread_and_two_give_the_same_points() {
 /// What the study holds points against: the nearest point of a thing is as far off as its nearest facet.
 #[test]
 fn the_true_point_is_the_nearest_facet() {
-    for kind in ["sphere", "plate", "box", "sphere and plate", "wavy", "saddle"] {
+    for kind in ["sphere", "plate", "box", "sphere and plate", "letter", "wavy", "saddle"] {
         let thing = thing(kind, 3);
         for seen in capture(3, 3).wall().into_iter().map(Point::from) {
             let gaps_m = (thing.nearest)(&seen).into_iter().map(|(truth, _)| (truth - seen).norm());
