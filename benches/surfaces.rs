@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use first_returns::{Nodes, Results, Tally, capture, median, results, thing};
 
-const THINGS: [&str; 7] = ["sphere", "plate", "box", "sphere and plate", "letter", "wavy", "saddle"];
+const THINGS: [&str; 8] = ["sphere", "plate", "box", "sphere and plate", "letter", "stairs", "wavy", "saddle"];
 const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];
 const KINDS: [&str; 3] = ["smooth", "edge", "corner"];
 

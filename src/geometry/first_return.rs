@@ -74,6 +74,8 @@ const CURVED: usize = 3;
 /// coordinates beyond which they differ.
 const NEIGHBOURS: usize = 13;
 const DIFFER: f64 = 3.0;
+/// Share of a smooth point beyond which faces say that the surface faces the wall.
+const FACING: f64 = 0.9;
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
@@ -176,6 +178,8 @@ pub struct SurfacePoint {
     pub places: usize,
     /// Chi-square over its degrees of freedom.
     pub misfit: f64,
+    /// Probability that first light of the neighbourhood comes from edges or corners, where lengths show neither.
+    pub edges: f64,
 }
 
 /// The point of the surface that each place of the wall sees first, where its neighbours tell it. Places are fewer
@@ -211,9 +215,11 @@ pub fn surface_points(
             rounds.find_faces(cancel);
         }
     }
+    let edges = [rounds.edges_on_faces(), rounds.edges_on_fields()];
     let of_place = |place: usize| {
         let choice = rounds.choice(place);
         let mut point = choice.surface_point(scan, place)?;
+        point.edges = f64::max(edges[0][place], edges[1][place]);
         choice.add_slides(&mut point);
         Some(point)
     };
@@ -286,10 +292,35 @@ impl<'a> Rounds<'a> {
         let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
         self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
+        let edges = self.edges_on_faces();
+        // Where nothing else explains a place, it has no point then.
+        let is_refuted = |n: usize| bent[n].is_none() && edges[n] > 0.5;
+        (0..edges.len()).filter(|n| is_refuted(*n)).for_each(|n| self.flats[n] = None);
         let borne_out = self.borne_out(&bent);
-        self.likelihoods = self.shares_of_faces();
+        let both = self.shares_of_faces().into_iter().zip(edges).zip(&bent);
+        let likelihood = |((share, edges), bent): ((f64, f64), &Option<Reading>)| {
+            if bent.is_some() { share * (1.0 - edges) } else { share }
+        };
+        self.likelihoods = both.map(likelihood).collect();
         let both = self.likelihoods.iter().zip(borne_out);
         self.shares = both.map(|(likelihood, borne_out)| likelihood * borne_out).collect();
+    }
+
+    /// Probability of each place that there are edges on its flat faces, where these have none.
+    fn edges_on_faces(&self) -> Vec<f64> {
+        let faces = |flat: &Option<Chosen<Flat>>| flat.as_ref().is_some_and(|flat| flat.field.kinds()[0] > FACING);
+        let is_facing: Vec<bool> = self.flats.par_iter().map(faces).collect();
+        let members = |n: usize| self.flats[n].as_ref().map(|flat| &*flat.members);
+        laws::by_rise(self.scan, &self.wall.near, &is_facing, members)
+    }
+
+    /// The same where bent fields show none.
+    fn edges_on_fields(&self) -> Vec<f64> {
+        let faces =
+            |bent: &Option<Chosen<Field>>| bent.as_ref().is_some_and(|bent| bent.field.kind(&bent.way) == Kind::Smooth);
+        let is_facing: Vec<bool> = self.fields.par_iter().map(faces).collect();
+        let members = |n: usize| self.fields[n].as_ref().filter(|_| is_facing[n]).map(|bent| &*bent.members);
+        laws::by_rise(self.scan, &self.wall.near, &is_facing, members)
     }
 
     /// Share of flat faces that bent fields leave, which know nothing of faces: all, or less where points of neighbours

@@ -90,7 +90,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 9;
+    const VERSION: u32 = 10;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -345,6 +345,7 @@ fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> Surface
         light_law_sd_m: point.light.law_m,
         light_zone_m: point.light.zone_m,
         light_common_sd_m: point.light.common_m,
+        edges: point.edges,
         shape: None,
     }
 }

@@ -9,7 +9,8 @@
 //! faces.
 //!
 //! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `meshes`,
-//! and `vertices`: their nodes. Points whose lit and seen points of the wall differ are left out.
+//! and `vertices`: their nodes. Points whose lit and seen points of the wall differ are left out,
+//! and so are those whose light comes from `edges` that lengths do not show.
 //!
 //! Not modelled: where surfaces end, surfaces that turn by more than a right angle, errors of the wall's places.
 //!
@@ -46,7 +47,7 @@ pub struct Context {
 
 impl Stage for FitMeshes {
     const KIND: &'static str = "mesh";
-    const VERSION: u32 = 1;
+    const VERSION: u32 = 2;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: true }];
     const SIDES: &'static [Side] = &[Side { name: "vertices", schema: Vertex::schema }];

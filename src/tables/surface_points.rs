@@ -70,6 +70,9 @@ table! {
         light_zone_m: f64,
         /// Standard deviation of the error that all first light of a scan has in common.
         light_common_sd_m: f64,
+        /// Probability that light of the neighbourhood comes from edges or corners, by how it rises, where lengths show
+        /// neither: of steps whose edges lie in a plane.
+        edges: f64,
         /// Shape of `shapes` that the point lies on; null where there is none, and before `shape`.
         shape: Option<i32>,
     }

@@ -125,7 +125,7 @@ fn both(first: Thing, second: Thing) -> Thing {
     Thing { facets, nearest: Box::new(nearest) }
 }
 
-/// A letter T, of two plates side by side: its bar and its stem. A point where they meet is none of the letter's border.
+/// A letter T of two plates: its bar and its stem. Where they meet is no border of the letter.
 fn letter(middle: Point, [right, up]: [Vector3<f64>; 2], pitch_m: f64) -> Thing {
     let none = Vector3::zeros();
     let plate =
@@ -138,6 +138,28 @@ fn letter(middle: Point, [right, up]: [Vector3<f64>; 2], pitch_m: f64) -> Thing 
         let meets = |other: &Thing, place: Point| ((other.nearest)(&place)[0].0 - place).norm() < 1e-9;
         let is_border = [far_m <= near_m || !meets(&stem, of_bar.0), near_m <= far_m || !meets(&bar, of_stem.0)];
         [of_bar, of_stem].into_iter().zip(is_border).filter(|(_, is)| *is).map(|(point, _)| point).collect()
+    };
+    Thing { facets, nearest: Box::new(nearest) }
+}
+
+/// Five steps: fronts that face the wall, and treads behind their upper edges. Half a step's height and depth.
+fn stairs(middle: Point, [right, up, away]: [Vector3<f64>; 3], [high_m, deep_m]: [f64; 2], pitch_m: f64) -> Thing {
+    let plate = |steps: f64, beyond: Vector3<f64>, [along, facing]: [Vector3<f64>; 2]| {
+        let at = middle + (up * high_m + away * deep_m) * (2.0 * steps) + beyond;
+        let mut plate = cuboid(at, [right * 0.25, along, Vector3::zeros()], pitch_m);
+        plate.facets.retain(|(_, normal, _)| normal.dot(&facing) > 0.0);
+        plate
+    };
+    let of_step = |n: i32| {
+        let front = plate(f64::from(n), Vector3::zeros(), [up * high_m, -away]);
+        [front, plate(f64::from(n), up * high_m + away * deep_m, [away * deep_m, up])]
+    };
+    let plates: Vec<Thing> = (-2..=2).flat_map(of_step).collect();
+    let facets = plates.iter().flat_map(|plate| plate.facets.iter().copied()).collect();
+    let nearest = move |seen: &Point| {
+        let of_all = plates.iter().flat_map(|plate| (plate.nearest)(seen));
+        let far_m = |(place, _): &(Point, usize)| (place - seen).norm();
+        of_all.min_by(|a, b| far_m(a).total_cmp(&far_m(b))).into_iter().collect()
     };
     Thing { facets, nearest: Box::new(nearest) }
 }
@@ -157,6 +179,7 @@ pub fn thing(kind: &str, seed: u64) -> Thing {
             cuboid(middle + Vector3::x() * 0.22, axes(turn(0.0, 0.3), [0.12, 0.12, 0.0]), PITCH_M),
         ),
         "letter" => letter(middle, [turn(0.2, 0.2) * Vector3::x(), turn(0.2, 0.2) * Vector3::y()], PITCH_M),
+        "stairs" => stairs(middle, axes(turn(0.0, 0.0), [1.0; 3]), [0.05, 0.03], PITCH_M),
         "wavy" => relief(middle, 0.25, |x, y| 0.015 * (14.0 * x).sin() * (11.0 * y).cos(), PITCH_M),
         "saddle" => relief(middle, 0.25, |x, y| 0.6 * (x * x - y * y), PITCH_M),
         kind => panic!("no surface is called {kind}"),
@@ -388,6 +411,19 @@ fn a_saddle_has_a_surface_and_a_box_has_none() {
     assert!(nodes.errors_m.is_empty(), "{} nodes", nodes.errors_m.len());
 }
 
+/// Edges of steps lie in a plane, and their lengths are those of this plane within a millimetre. Before the rise of
+/// light counted, 57 % of the points of these edges lay within their ellipsoids, the plane was reported as a shape, and
+/// a mesh of 766 nodes lay 11 mm in front of the steps.
+#[test]
+fn steps_are_no_plane() {
+    let Results { points: [_, edges, _], shapes, nodes, .. } =
+        results(&thing("stairs", 2001), &capture(32, 2001), 3000.0);
+    println!("stairs: {} of {} edges, {} nodes", edges.held, edges.points, nodes.errors_m.len());
+    assert!(edges.points > 450 && edges.held * 100 > 70 * edges.points);
+    assert!(shapes.is_empty(), "{shapes:?}");
+    assert!(nodes.held() * 100 >= 90 * nodes.errors_m.len(), "{} of {}", nodes.held(), nodes.errors_m.len());
+}
+
 #[test]
 fn one_thread_and_two_give_the_same_points() {
     let folder = tempfile::tempdir().unwrap();
@@ -405,7 +441,7 @@ fn one_thread_and_two_give_the_same_points() {
 /// What the study holds points against: the nearest point of a thing is as far off as its nearest facet.
 #[test]
 fn the_true_point_is_the_nearest_facet() {
-    for kind in ["sphere", "plate", "box", "sphere and plate", "letter", "wavy", "saddle"] {
+    for kind in ["sphere", "plate", "box", "sphere and plate", "letter", "stairs", "wavy", "saddle"] {
         let thing = thing(kind, 3);
         for seen in capture(3, 3).wall().into_iter().map(Point::from) {
             let gaps_m = (thing.nearest)(&seen).into_iter().map(|(truth, _)| (truth - seen).norm());

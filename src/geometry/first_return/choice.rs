@@ -81,16 +81,18 @@ impl Choice<'_> {
             curvatures_per_m: curvatures,
             places: fitted.count,
             misfit: fitted.misfit(),
+            edges: 0.0,
         })
     }
 
-    /// Adds what the nearest point may be off by along the surface where the bent field is concave.
+    /// Adds what the nearest point may be off by along the surface: where the bent field is concave, and where it shows
+    /// no edges though light does.
     pub fn add_slides(&self, point: &mut SurfacePoint) {
         let Some(bent) = self.bent else { return };
         let square_m2 = |n: &u32| (self.samples[*n as usize].at - bent.field.at).norm_squared();
         let mean_m2 = bent.members.iter().map(square_m2).sum::<f64>() / bent.members.len() as f64;
-        for (direction, sd_m) in bent.field.slides(&bent.way, mean_m2.sqrt()) {
-            let variance_m2 = direction * direction.transpose() * sd_m.powi(2) * (1.0 - self.share);
+        for (direction, variance_m2) in bent.field.slides(&bent.way, mean_m2, point.edges) {
+            let variance_m2 = direction * direction.transpose() * variance_m2 * (1.0 - self.share);
             point.covariance_m2 += variance_m2;
             point.normal_covariance += variance_m2 / bent.field.distance_m(&bent.way).powi(2);
         }

@@ -15,6 +15,8 @@ const BEND_SD: f64 = 7.0;
 /// a curvature known to this share: a sphere of a fifth of its distance has five sixths of the curvature of a point.
 const APART: f64 = 2.5;
 const SURE: f64 = 0.07;
+/// Of the radius of a window, how far a point lies from the edge that it is on, where a field shows none.
+const BETWEEN: f64 = 0.5;
 /// Share by which the curvature of lengths to a concave surface changes over a window.
 const CHANGE: f64 = 0.3;
 
@@ -112,14 +114,19 @@ impl Field {
         bends
     }
 
-    /// Directions in which the surface is concave, and by how much the nearest point is off along them if the curvature
-    /// of the lengths changes by a share of itself over so many metres about the place. On concave surfaces the nearest
-    /// point slides several times as far as the wall's point, over parts that are curved otherwise.
-    pub fn slides(&self, way: &Way, radius_m: f64) -> [(Vector3<f64>, f64); 2] {
+    /// Directions along the surface, and variances of the nearest point along them, where the mean square distance of
+    /// members is this one. On concave surfaces the point slides several times as far as the wall's point, over parts
+    /// that are curved otherwise: the curvature of the lengths changes by a share of itself. If there are `edges`, with
+    /// this probability, it rests on one and jumps to the next.
+    pub fn slides(&self, way: &Way, radius_m2: f64, edges: f64) -> [(Vector3<f64>, f64); 2] {
         let eigen = self.bend.symmetric_eigen();
+        let distance_m = self.distance_m(way);
         [0, 1].map(|k| {
             let direction = self.across[0] * eigen.eigenvectors[(0, k)] + self.across[1] * eigen.eigenvectors[(1, k)];
-            (direction, CHANGE * (-eigen.eigenvalues[k]).max(0.0) * self.distance_m(way) * radius_m)
+            let bend = eigen.eigenvalues[k] * distance_m;
+            let moves = (1.0 - bend).max(0.0);
+            let of_edges = edges * (BETWEEN * moves).powi(2);
+            (direction, radius_m2 * ((CHANGE * (-bend).max(0.0)).powi(2) + of_edges))
         })
     }
 

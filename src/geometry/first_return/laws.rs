@@ -34,6 +34,9 @@ const UNSEEN: f64 = 3.0;
 /// where both laws are off, a few places with much light would decide.
 const FACES_TEMPER: f64 = 0.3;
 const MOST_OF_ONE: f64 = 3.0;
+/// Neighbours whose light shows whether the surface faces the wall, and the logarithm of the odds for it before.
+const RISES: usize = 55;
+const TRUST: f64 = 3.0;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
 const LEAST_SD: f64 = 0.05;
 const BEYOND: f64 = 1e-3;
@@ -175,6 +178,28 @@ fn evidence(places: impl Iterator<Item = f64>) -> f64 {
     (FACES_TEMPER * sum).clamp(-most, most)
 }
 
+/// Of each place, the probability that first light of neighbours comes from edges or corners, where models say that the
+/// surface faces the wall: `is_facing` are the places of which they say so, `members` those of the model of a place.
+/// Lengths do not tell a plane from steps whose edges lie in it; how light rises does.
+pub fn by_rise<'a>(
+    scan: &Scan,
+    near: &[Vec<u32>],
+    is_facing: &[bool],
+    members: impl Fn(usize) -> Option<&'a [u32]> + Sync,
+) -> Vec<f64> {
+    let of_place = |n: usize| {
+        let Some(members) = members(n) else { return 0.0 };
+        let is_like = |other: &&u32| is_facing[**other as usize] && members.binary_search(other).is_ok();
+        let more = evidence(near[n].iter().filter(is_like).take(RISES).map(|other| {
+            let [step, edge, corner] = scan.places[*other as usize].returns.map(|one| one.log_likelihood);
+            edge.max(corner) - step
+        }));
+        // Without evidence there are none.
+        (odds::probability(more - TRUST) - odds::probability(-TRUST)).max(0.0)
+    };
+    (0..near.len()).into_par_iter().map(of_place).collect()
+}
+
 /// Lengths under the laws of flat faces, mixed with those without them by their shares. Whether faces are those of a
 /// sheet or of a block is seen by the likelihoods of neighbours that see the same faces, unless lengths show it.
 pub fn mixed(
@@ -215,6 +240,28 @@ pub fn mixed(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Sixty places that are said to face the wall, in the neighbourhood of all: their light rises as from an edge, or
+    /// as from a face, or nothing is said.
+    #[test]
+    fn light_that_rises_as_from_edges_refutes_faces() {
+        let edges = |more: f64, faces: bool| {
+            let of = |log_likelihood: f64| Return { length_m: 1.0, sd_m: 1e-3, common_m: 0.0, log_likelihood };
+            let place = Place { seen: crate::Point::origin(), returns: [of(0.0), of(more), of(-5.0)] };
+            let scan = Scan {
+                lit: super::super::Lit::Same,
+                inwards: nalgebra::Vector3::z(),
+                sigma_m: 0.01,
+                places: vec![place; 60],
+            };
+            let near: Vec<Vec<u32>> = vec![(0..60).collect(); 60];
+            let members: Vec<u32> = (0..60).collect();
+            by_rise(&scan, &near, &[faces; 60], |_| Some(&members[..]))[0]
+        };
+        assert!(edges(0.7, true) > 0.9);
+        assert!(edges(-0.1, true) < 0.01);
+        assert!(edges(0.0, true) < 1e-9 && edges(0.7, false) < 1e-9);
+    }
 
     #[test]
     fn a_few_places_do_not_decide_between_laws() {
