@@ -25,7 +25,8 @@
 //!
 //! When light begins depends on where the surface ends. Flat faces show that; so lengths are timed again under the law
 //! of the faces, and faces are fitted again, in some rounds. Faces count as long as bent fields, which know nothing of
-//! them, say the same of the points: a slightly curved surface has nearly the lengths of flat faces.
+//! them, say the same of the points: a slightly curved surface has nearly the lengths of flat faces. And as long as light
+//! rises as from a face: steps whose edges lie in a plane have nearly its lengths.
 //!
 //! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
 //! wall ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other
@@ -219,8 +220,7 @@ pub fn surface_points(
     let of_place = |place: usize| {
         let choice = rounds.choice(place);
         let mut point = choice.surface_point(scan, place)?;
-        point.edges = f64::max(edges[0][place], edges[1][place]);
-        choice.add_slides(&mut point);
+        choice.add_edges(&mut point, f64::max(edges[0][place], edges[1][place]));
         Some(point)
     };
     (0..scan.places.len()).into_par_iter().filter_map(of_place).collect()

@@ -25,16 +25,14 @@ impl Walls {
     }
 
     /// Sightings of points of surfaces, each with the number of its row. Those whose point of the wall is not lit
-    /// itself, or has no place, have none; neither have those whose light comes from edges that lengths do not show:
-    /// between them there is no surface.
+    /// itself, or has no place, have none.
     #[must_use]
     pub fn sightings(&self, points: &[SurfacePoint]) -> Vec<(usize, Sighting)> {
         points.iter().enumerate().filter_map(|(row, point)| Some((row, self.sighting(point)?))).collect()
     }
 
     fn sighting(&self, point: &SurfacePoint) -> Option<Sighting> {
-        let is_told = point.lit == point.seen && point.edges < 0.5;
-        let seen = *self.places.get(&point.seen).filter(|_| is_told)?;
+        let seen = *self.places.get(&point.seen).filter(|_| point.lit == point.seen)?;
         let light = FirstLight {
             length_m: point.light_m,
             sd_m: point.light_sd_m,

@@ -85,9 +85,18 @@ impl Choice<'_> {
         })
     }
 
+    /// Adds that there are edges with this probability where neither model has any: then the kind is not known.
+    pub fn add_edges(&self, point: &mut SurfacePoint, edges: f64) {
+        point.edges = edges;
+        if edges > 0.5 {
+            (point.kind, point.curvatures_per_m) = (Kind::Unknown, None);
+        }
+        self.add_slides(point);
+    }
+
     /// Adds what the nearest point may be off by along the surface: where the bent field is concave, and where it shows
     /// no edges though light does.
-    pub fn add_slides(&self, point: &mut SurfacePoint) {
+    fn add_slides(&self, point: &mut SurfacePoint) {
         let Some(bent) = self.bent else { return };
         let square_m2 = |n: &u32| (self.samples[*n as usize].at - bent.field.at).norm_squared();
         let mean_m2 = bent.members.iter().map(square_m2).sum::<f64>() / bent.members.len() as f64;
