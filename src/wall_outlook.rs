@@ -81,6 +81,7 @@ impl WallOutlook {
             point: point.point,
             covariance_m2: point.covariance_m2,
             part: point.kind,
+            edges: point.edges,
         };
         let sightings: Vec<Sighting> = points.iter().map(sighting).collect();
         let nodes: Vec<f64> = height_fields(&sightings, cancel)

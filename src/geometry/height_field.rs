@@ -57,6 +57,8 @@ const MARGIN: f64 = 0.6;
 const ENDS: usize = 50;
 /// By how much a surface may turn over a zone, as the likeliest size of curvatures says: more is no smooth surface.
 const SMOOTH_RAD: f64 = 0.2;
+/// Probability of edges that lengths do not show, beyond which a sighting is none of a surface.
+const EDGES: f64 = 0.5;
 /// Chi-square over its number, beyond which lengths are not explained, in standard deviations.
 const EXPLAINED: f64 = 3.1;
 
@@ -108,7 +110,7 @@ pub fn height_fields(sightings: &[Sighting], cancel: &Cancel) -> Vec<HeightField
 
 /// Sightings whose points hang together.
 fn groups(sightings: &[Sighting]) -> Vec<Vec<usize>> {
-    let is_sure = |one: &Sighting| one.covariance_m2.trace().sqrt() < one.light.zone_m;
+    let is_sure = |one: &Sighting| one.edges <= EDGES && one.covariance_m2.trace().sqrt() < one.light.zone_m;
     // One of the points that are well known stands for those next to it.
     let mut centres: Vec<&Sighting> = Vec::new();
     for one in sightings.iter().filter(|one| is_sure(one)) {
@@ -125,7 +127,8 @@ fn groups(sightings: &[Sighting]) -> Vec<Vec<usize>> {
         }
     }
     let mut members = vec![Vec::new(); centres.len()];
-    for (n, one) in sightings.iter().enumerate() {
+    // Between edges that lengths do not show there is no surface.
+    for (n, one) in sightings.iter().enumerate().filter(|(_, one)| one.edges <= EDGES) {
         let far_m2 = |centre: usize| (centres[centre].point - one.point).norm_squared();
         let nearest = (0..centres.len()).min_by(|a, b| far_m2(*a).total_cmp(&far_m2(*b)));
         nearest.into_iter().for_each(|centre| members[root(&group, centre)].push(n));

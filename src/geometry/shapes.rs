@@ -105,6 +105,8 @@ pub struct Sighting {
     pub covariance_m2: Matrix3<f64>,
     /// What part of a surface the lengths of neighbours show it to be.
     pub part: Part,
+    /// Probability that its light comes from edges that lengths do not show.
+    pub edges: f64,
 }
 
 /// A shape that places of the wall see.

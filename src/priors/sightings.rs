@@ -49,6 +49,7 @@ impl Walls {
             _ => Kind::Unknown,
         };
         let covariance_m2 = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-        Some(Sighting { seen, light, point: Point::new(point.x_m, point.y_m, point.z_m), covariance_m2, part })
+        let place = Point::new(point.x_m, point.y_m, point.z_m);
+        Some(Sighting { seen, light, point: place, covariance_m2, part, edges: point.edges })
     }
 }

@@ -65,9 +65,7 @@ impl Stage for FitMeshes {
 }
 
 impl Apply for FitMeshes {
-    fn apply(&self, context: &Context, mut group: Vec<SurfacePoint>) -> Result<Outcome<Mesh>, StageError> {
-        // Between edges that lengths do not show there is no surface.
-        group.retain(|point| point.edges <= 0.5);
+    fn apply(&self, context: &Context, group: Vec<SurfacePoint>) -> Result<Outcome<Mesh>, StageError> {
         let sighted = context.walls.sightings(&group);
         let sightings: Vec<Sighting> = sighted.into_iter().map(|(_, sighting)| sighting).collect();
         let fields = height_fields(&sightings, &context.cancel);

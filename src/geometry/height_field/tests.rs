@@ -25,7 +25,7 @@ fn sightings(seed: u64, nearest: &impl Fn(&Point) -> Point) -> Vec<Sighting> {
             let light = FirstLight { length_m, sd_m: NOISE_M, law_m: LAW_M, zone_m: ZONE_M, common_m: COMMON_M };
             let off = Vector3::from_fn(|_, _| OFF_M * normal(&mut random));
             let covariance_m2 = Matrix3::identity() * OFF_M.powi(2);
-            Sighting { seen, light, point: point + off, covariance_m2, part: Kind::Unknown }
+            Sighting { seen, light, point: point + off, covariance_m2, part: Kind::Unknown, edges: 0.0 }
         })
         .collect()
 }
@@ -163,4 +163,15 @@ fn the_nearest_node_is_that_of_all() {
         let nearest = (0..grid.count()).min_by(|a, b| far_m2(a).total_cmp(&far_m2(b))).unwrap();
         assert_eq!(nodes.nearest(&place), nearest, "{place}");
     }
+}
+
+/// The right half of a sphere's light is said to come from edges: the surface has the left half alone.
+#[test]
+fn between_edges_that_lengths_do_not_show_there_is_no_surface() {
+    let mut all = sightings(1, &sphere);
+    all.iter_mut().filter(|one| one.seen.x > 0.05).for_each(|one| one.edges = 0.9);
+    let fields = height_fields(&all, &Cancel::default());
+    let [field] = fields.as_slice() else { panic!("{} surfaces", fields.len()) };
+    assert!(field.members.iter().all(|n| all[*n].seen.x <= 0.05) && field.members.len() > 300);
+    assert!(field.nodes.iter().all(|node| node.point.x < 0.08), "nodes reach into the other half");
 }

@@ -45,7 +45,7 @@ fn sightings(seed: u64, nearest: impl Fn(&Point) -> Seen) -> Vec<Sighting> {
                 (seen - point).norm() + NOISE_M * normal(&mut random) + LAW_M * law(seen.x, seen.y) + shift_m;
             let light = FirstLight { length_m, sd_m: NOISE_M, law_m: LAW_M, zone_m: ZONE_M, common_m: COMMON_M };
             let off = Vector3::from_fn(|_, _| 3e-3 * normal(&mut random));
-            Sighting { seen, light, point: point + off, covariance_m2: Matrix3::identity() * 9e-6, part }
+            Sighting { seen, light, point: point + off, covariance_m2: Matrix3::identity() * 9e-6, part, edges: 0.0 }
         })
         .collect()
 }
