@@ -25,8 +25,8 @@
 //!
 //! When light begins depends on where the surface ends. Flat faces show that; so lengths are timed again under the law
 //! of the faces, and faces are fitted again, in some rounds. Faces count as long as bent fields, which know nothing of
-//! them, say the same of the points: a slightly curved surface has nearly the lengths of flat faces. And as long as light
-//! rises as from a face: steps whose edges lie in a plane have nearly its lengths.
+//! them, say the same of the points: a slightly curved surface has nearly the lengths of flat faces. And as long as
+//! light rises as from a face: steps whose edges lie in a plane have nearly its lengths.
 //!
 //! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
 //! wall ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other
