@@ -198,6 +198,9 @@ pub struct SurfacePoints {
     /// Chi-square of their first returns over its degrees of freedom; shape (points,).
     #[pyo3(get)]
     misfit: Py<PyArray1<f64>>,
+    /// Probability that light of the neighbourhood comes from edges that lengths do not show; shape (points,).
+    #[pyo3(get)]
+    edges: Py<PyArray1<f64>>,
     /// First light as shapes and surfaces are fitted to it; none with a lit point apart.
     sightings: Vec<Sighting>,
 }
@@ -323,6 +326,7 @@ fn rows(
         point: point.point,
         covariance_m2: point.covariance_m2,
         part: point.kind,
+        edges: point.edges,
     };
     let sightings = result.iter().zip(places).filter(|_| is_confocal).map(sighting).collect();
     let each = |value: &dyn Fn(&first_return::SurfacePoint) -> Vec<f64>| result.iter().flat_map(value).collect();
@@ -337,6 +341,7 @@ fn rows(
         curvature_per_m: matrix(py, each(&curvatures), result.len(), 2)?,
         wall_points: vector(py, result.iter().map(|point| point.places as i64).collect()),
         misfit: vector(py, result.iter().map(|point| point.misfit).collect()),
+        edges: vector(py, result.iter().map(|point| point.edges).collect()),
         sightings,
     })
 }
