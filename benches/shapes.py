@@ -2,11 +2,11 @@
 """Points of hidden surfaces from scans that this program renders, not periscope's own simulator. Prints a table of
 docs/surfaces.md.
 
-usage: shapes.py PERISCOPE WORK [THING ...] [--photons 3000] [--seeds 1 2]
+usage: shapes.py PERISCOPE WORK [THING ...] [--photons 3000] [--seeds 2] [--scans plain hard]
 
-Surfaces are clouds of small facets that hide one another (the nearest one of each direction is seen). `hard` scans have
-glossy facets, squares of two albedos, a response with a tail, times of histograms that jitter by 4 ps, and a background
-that declines. A scan has 32 x 32 points over a square metre, bins of 8 ps, a response of 60 ps and so many photons of
+Surfaces are clouds of small facets that hide one another (the nearest one of each direction is seen). Scans are plain,
+or have a flaw: `gloss` of the facets, squares of two `albedos`, a response with a `tail` and a background that declines,
+`jitter` of 4 ps in the times of histograms; `hard` scans have all four. A scan has 32 x 32 points over a square metre, bins of 8 ps, a response of 60 ps and so many photons of
 the thing in a mean histogram. The true point is the facet next to the wall's point. Needs NumPy, SciPy, h5py, Polars.
 """
 import argparse
@@ -105,9 +105,12 @@ def two_plates():
 THINGS = {thing.__name__.replace("_", " "): thing for thing in (mannequin, rabbit, chair, stairs, bowl, cylinder, two_plates)}
 
 
-def response(is_hard):
+FLAWS = ("gloss", "albedos", "tail", "jitter")
+
+
+def response(has_tail):
     after = np.arange(-200, 1500, STEP_PS)
-    tail = 0.12 * np.exp(-after / 300) * (1 - np.exp(-after / 25)) if is_hard else 0.0
+    tail = 0.12 * np.exp(-after / 300) * (1 - np.exp(-after / 25)) if has_tail else 0.0
     values = np.exp(-0.5 * (after / SIGMA_PS) ** 2) + np.where(after > 0, tail, 0)
     return values / values.sum()
 
@@ -125,17 +128,18 @@ def seen(place, distance, wall):
     return out
 
 
-def render(thing, photons, seed, is_hard):
+def render(thing, photons, seed, flaws):
     """Counts (bins, rows, columns), facets, points of the wall, and the true point of each."""
     rng = np.random.default_rng(seed)
     middle, turned = rng.uniform([-0.05, -0.05, 0.6], [0.05, 0.05, 0.75]), turn(*rng.uniform(-0.2, 0.2, 3))
     place, normal, area = thing()
     place, normal = place @ turned.T + middle, normal @ turned.T
     squares = (np.floor(place[:, 0] / 0.06) + np.floor(place[:, 1] / 0.06)) % 2 > 0
-    albedo = np.where(squares, 1, 0.25) if is_hard else 1.0
+    albedo = np.where(squares, 1, 0.25) if "albedos" in flaws else 1.0
     along = np.linspace(-HALF_M, HALF_M, SIDE)
     walls = np.array([[x, y, 0.0] for y in along for x in along])
-    steps, pulse = int(BINS * DT_PS / STEP_PS), response(is_hard)
+    has_tail = "tail" in flaws
+    steps, pulse = int(BINS * DT_PS / STEP_PS), response(has_tail)
     light, truth = np.zeros((len(walls), BINS)), np.zeros((len(walls), 3))
     for n, wall in enumerate(walls):
         way = wall - place
@@ -144,15 +148,15 @@ def render(thing, photons, seed, is_hard):
         cosine = (normal * way).sum(1)
         facing = cosine > 0
         truth[n] = place[np.argmin(np.where(facing, distance, np.inf))]
-        gloss = 1 + 6 * np.clip(cosine, 0, 1) ** 20 if is_hard else 1.0
+        gloss = 1 + 6 * np.clip(cosine, 0, 1) ** 20 if "gloss" in flaws else 1.0
         value = albedo * area * cosine**2 * gloss * way[:, 2] ** 2 / distance**4 * (facing & seen(place, distance, wall))
         at = 2 * distance / LIGHT_M_PS / STEP_PS
         here = np.bincount(at.astype(int), value * (1 - at % 1), steps + 1)[:steps] + np.bincount(at.astype(int) + 1, value * (at % 1), steps + 1)[:steps]
-        late = int(round(rng.normal(0, JITTER_PS) / STEP_PS)) if is_hard else 0
+        late = int(round(rng.normal(0, JITTER_PS) / STEP_PS)) if "jitter" in flaws else 0
         light[n] = np.roll(np.convolve(here, pulse)[100 : 100 + steps], late).reshape(BINS, -1).sum(1)
     time = (np.arange(BINS) + 0.5) * DT_PS
-    own = np.exp(-0.5 * (time / SIGMA_PS) ** 2) + is_hard * 0.12 * np.exp(-time / 300) * (1 - np.exp(-time / 25))
-    background = 0.2 + 3e4 * own + is_hard * 1.5 * np.exp(-time / 2500)
+    own = np.exp(-0.5 * (time / SIGMA_PS) ** 2) + has_tail * 0.12 * np.exp(-time / 300) * (1 - np.exp(-time / 25))
+    background = 0.2 + 3e4 * own + has_tail * 1.5 * np.exp(-time / 2500)
     counts = rng.poisson(light * photons / light.sum(1).mean() + background).astype(float)
     return counts.T.reshape(BINS, SIDE, SIDE), (place, normal), walls, truth
 
@@ -193,7 +197,8 @@ def main():
     parser = argparse.ArgumentParser(usage=__doc__)
     parser.add_argument("periscope", type=lambda path: pathlib.Path(path).resolve())
     parser.add_argument("work", type=pathlib.Path)
-    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[2])
+    parser.add_argument("--scans", choices=("plain", "hard", *FLAWS), nargs="+", default=["plain", "hard"])
     parser.add_argument("--photons", type=float, default=3000)
     parser.add_argument("things", nargs="*", default=list(THINGS))
     args = parser.parse_args()
@@ -202,10 +207,10 @@ def main():
     print("|---|---|---|---|---|---|---|---|---|---|---|", flush=True)
     for thing in args.things:
         for seed in args.seeds:
-            for kind in ("plain", "hard"):
+            for kind in args.scans:
                 folder = args.work / f"{thing}-{args.photons:.0f}-{seed}-{kind}".replace(" ", "-")
                 folder.mkdir(exist_ok=True)
-                counts, facets, walls, truth = render(THINGS[thing], args.photons, seed, kind == "hard")
+                counts, facets, walls, truth = render(THINGS[thing], args.photons, seed, FLAWS if kind == "hard" else (kind,))
                 with h5py.File(folder / "scan.mat", "w") as file:
                     file["rect_data"], file["width"] = counts, np.array([[HALF_M]])
                 run = lambda *words: subprocess.run([args.periscope, *words], cwd=folder, check=True, capture_output=True)

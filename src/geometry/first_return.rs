@@ -75,8 +75,9 @@ const CURVED: usize = 3;
 /// coordinates beyond which they differ.
 const NEIGHBOURS: usize = 13;
 const DIFFER: f64 = 3.0;
-/// Share of a smooth point beyond which faces say that the surface faces the wall.
-const FACING: f64 = 0.9;
+/// Probability of edges that lengths do not show, beyond which the kind of a point is not known, and the point is none
+/// of a smooth surface.
+pub(crate) const EDGES: f64 = 0.5;
 /// Rounds in which first light is timed again under the law of flat faces.
 const ROUNDS: usize = 2;
 /// Points of a wall lie in a line where their squares across it are below this share of those along it.
@@ -216,11 +217,11 @@ pub fn surface_points(
             rounds.find_faces(cancel);
         }
     }
-    let edges = [rounds.edges_on_faces(), rounds.edges_on_fields()];
+    let edges = rounds.edges_on_fields();
     let of_place = |place: usize| {
         let choice = rounds.choice(place);
         let mut point = choice.surface_point(scan, place)?;
-        choice.add_edges(&mut point, f64::max(edges[0][place], edges[1][place]));
+        choice.add_edges(&mut point, f64::max(rounds.edges[place], edges[place]));
         Some(point)
     };
     (0..scan.places.len()).into_par_iter().filter_map(of_place).collect()
@@ -237,6 +238,8 @@ struct Rounds<'a> {
     samples: Vec<Sample>,
     faces: Vec<Option<Chosen<Flat>>>,
     flats: Vec<Option<Chosen<Flat>>>,
+    /// Probability that there are edges on these faces, where they have none.
+    edges: Vec<f64>,
     /// Shares of these faces, where there are bent fields too: by likelihood, and those that bent fields bear out.
     likelihoods: Vec<f64>,
     shares: Vec<f64>,
@@ -257,7 +260,8 @@ impl<'a> Rounds<'a> {
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
         let (flats, none) = (fields.iter().map(|_| None).collect(), vec![0.0; fields.len()]);
-        Self { scan, wall, first, fields, samples, faces: Vec::new(), flats, likelihoods: none.clone(), shares: none }
+        let (faces, edges, likelihoods) = (Vec::new(), none.clone(), none.clone());
+        Self { scan, wall, first, fields, samples, faces, flats, edges, likelihoods, shares: none }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
@@ -292,13 +296,16 @@ impl<'a> Rounds<'a> {
         let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
         self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
-        let edges = self.edges_on_faces();
-        // Where nothing else explains a place, it has no point then.
-        let is_refuted = |n: usize| bent[n].is_none() && edges[n] > 0.5;
-        (0..edges.len()).filter(|n| is_refuted(*n)).for_each(|n| self.flats[n] = None);
+        self.edges = self.edges_on_faces();
+        for ((flat, edges), bent) in self.flats.iter_mut().zip(&self.edges).zip(&bent) {
+            // Where nothing else explains a place, it has no point then.
+            if bent.is_none() && *edges > EDGES {
+                *flat = None;
+            }
+        }
         let borne_out = self.borne_out(&bent);
-        let both = self.shares_of_faces().into_iter().zip(edges).zip(&bent);
-        let likelihood = |((share, edges), bent): ((f64, f64), &Option<Reading>)| {
+        let both = self.shares_of_faces().into_iter().zip(&self.edges).zip(&bent);
+        let likelihood = |((share, edges), bent): ((f64, &f64), &Option<Reading>)| {
             if bent.is_some() { share * (1.0 - edges) } else { share }
         };
         self.likelihoods = both.map(likelihood).collect();
@@ -306,15 +313,16 @@ impl<'a> Rounds<'a> {
         self.shares = both.map(|(likelihood, borne_out)| likelihood * borne_out).collect();
     }
 
-    /// Probability of each place that there are edges on its flat faces, where these have none.
+    /// Probability that there are edges on flat faces.
     fn edges_on_faces(&self) -> Vec<f64> {
-        let faces = |flat: &Option<Chosen<Flat>>| flat.as_ref().is_some_and(|flat| flat.field.kinds()[0] > FACING);
+        let faces =
+            |flat: &Option<Chosen<Flat>>| flat.as_ref().is_some_and(|flat| flat.field.kinds()[0] > choice::SURE);
         let is_facing: Vec<bool> = self.flats.par_iter().map(faces).collect();
         let members = |n: usize| self.flats[n].as_ref().map(|flat| &*flat.members);
         laws::by_rise(self.scan, &self.wall.near, &is_facing, members)
     }
 
-    /// The same where bent fields show none.
+    /// The same on bent fields.
     fn edges_on_fields(&self) -> Vec<f64> {
         let faces =
             |bent: &Option<Chosen<Field>>| bent.as_ref().is_some_and(|bent| bent.field.kind(&bent.way) == Kind::Smooth);

@@ -39,6 +39,7 @@ use periscope_cancel::Cancel;
 
 use super::Point;
 use super::axes::across;
+use super::first_return::EDGES;
 use super::shapes::{Sighting, median};
 use fit::{Fit, Problem};
 use grid::Grid;
@@ -57,8 +58,6 @@ const MARGIN: f64 = 0.6;
 const ENDS: usize = 50;
 /// By how much a surface may turn over a zone, as the likeliest size of curvatures says: more is no smooth surface.
 const SMOOTH_RAD: f64 = 0.2;
-/// Probability of edges that lengths do not show, beyond which a sighting is none of a surface.
-const EDGES: f64 = 0.5;
 /// Chi-square over its number, beyond which lengths are not explained, in standard deviations.
 const EXPLAINED: f64 = 3.1;
 

@@ -8,7 +8,7 @@ use super::local::{Local, Sample};
 use super::odds;
 use super::way::Way;
 use super::windows::{Chosen, Reading};
-use super::{FirstLight, Lit, Scan, SurfacePoint};
+use super::{EDGES, FirstLight, Lit, Scan, SurfacePoint};
 
 /// Power of a likelihood that counts: errors of the law are common to neighbours.
 const TEMPER: f64 = 0.3;
@@ -16,7 +16,7 @@ const TEMPER: f64 = 0.3;
 /// law is off by more at each place, and of flat faces, whose residuals do not show it.
 const COMMON: [f64; 2] = [0.05, 0.1];
 /// Share of a kind that is sure.
-const SURE: f64 = 0.9;
+pub const SURE: f64 = 0.9;
 
 /// What explains a place: a bent field, flat faces, their share by likelihood, and that which bent fields bear out.
 pub struct Choice<'a> {
@@ -88,7 +88,7 @@ impl Choice<'_> {
     /// Adds that there are edges with this probability where neither model has any: then the kind is not known.
     pub fn add_edges(&self, point: &mut SurfacePoint, edges: f64) {
         point.edges = edges;
-        if edges > 0.5 {
+        if edges > EDGES {
             (point.kind, point.curvatures_per_m) = (Kind::Unknown, None);
         }
         self.add_slides(point);
