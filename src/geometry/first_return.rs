@@ -28,10 +28,11 @@
 //! them, say the same of the points: a slightly curved surface has nearly the lengths of flat faces. And as long as
 //! light rises as from a face: steps whose edges lie in a plane have nearly its lengths.
 //!
-//! Covariances have four parts: noise; the error of the law of first light, which is a smooth random function over the
-//! wall ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other
-//! windows and other faces say otherwise; and the mixture of bent fields and flat faces by their likelihoods. All but
-//! the first are common to neighbours and do not average out.
+//! Covariances have five parts: noise; an error that each place has for itself, such as jitter, which scatter about the
+//! smallest windows shows; the error of the law of first light, which is a smooth random function over the wall
+//! ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other windows
+//! and other faces say otherwise; and the mixture of bent fields and flat faces by their likelihoods. All but the first
+//! two are common to neighbours and do not average out.
 //!
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
 //! CVPR 2019. Windows by agreement: Lepski, Theory Probab. Appl. 35:454, 1990.
@@ -147,7 +148,7 @@ pub struct Scan {
 pub struct FirstLight {
     /// Length: its way from a lit point that is one for all, else half of its way.
     pub length_m: f64,
-    /// Standard deviation of its noise.
+    /// Standard deviation of its noise, and of the error that each place has for itself.
     pub sd_m: f64,
     /// Standard deviation of the error of its law, a smooth random function over the wall.
     pub law_m: f64,
@@ -231,6 +232,8 @@ pub fn surface_points(
 struct Rounds<'a> {
     scan: &'a Scan,
     wall: Wall,
+    /// Standard deviation of the error that each place has for itself beside its noise.
+    own_m: f64,
     /// Lengths under the laws that likelihood and curvature show, and bent fields of them.
     first: Vec<Sample>,
     fields: Vec<Option<Chosen<Field>>>,
@@ -252,16 +255,17 @@ impl<'a> Rounds<'a> {
         // Curvatures of neighbours are nearly the same: some do.
         let some = windows::apart(&wall.near, CURVED);
         let few = (&windows::SIZES[..windows::FEW], &some[..]);
-        let fields = windows::fields(scan, &laws::samples(scan, &likely), &wall, few, cancel);
+        let own_m = windows::own_m(scan, &laws::samples(scan, &likely, 0.0), &wall.near, &some);
+        let fields = windows::fields(scan, &laws::samples(scan, &likely, own_m), &wall, few, cancel);
         let shares = laws::by_curvature(&wall.near, &likely, &fields, &some);
-        let first = laws::samples(scan, &shares);
+        let first = laws::samples(scan, &shares, own_m);
         let all = vec![true; some.len()];
         let fields = windows::fields(scan, &first, &wall, (&windows::SIZES, &all), cancel);
         let wide = |sample: &Sample| Sample { weighted_m: sample.sd_m.hypot(sample.law_m), ..*sample };
         let samples = first.iter().map(wide).collect();
         let (flats, none) = (fields.iter().map(|_| None).collect(), vec![0.0; fields.len()]);
         let (faces, edges, likelihoods) = (Vec::new(), none.clone(), none.clone());
-        Self { scan, wall, first, fields, samples, faces, flats, edges, likelihoods, shares: none }
+        Self { scan, wall, own_m, first, fields, samples, faces, flats, edges, likelihoods, shares: none }
     }
 
     fn choice(&self, place: usize) -> Choice<'_> {
@@ -366,7 +370,7 @@ impl<'a> Rounds<'a> {
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
         let again = |place: usize| laws::again(self.scan, place, &choices[place], law_m, timed);
         let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
-        self.samples = laws::mixed(self.scan, &self.wall.near, &self.first, &choices, &again);
+        self.samples = laws::mixed(self.scan, &self.wall.near, &self.first, &choices, &again, self.own_m);
     }
 }
 

@@ -10,22 +10,28 @@ use crate::hidden::{self, Arrival, Focus};
 use crate::maximum_likelihood::{self, Node, Observation, Problem};
 use crate::{Point, faint, placement};
 
-/// From a cancel to the end of a kernel: 0.2 s, and as much again for a machine that runs other tests.
-const LATE: Duration = Duration::from_millis(400);
+/// From a cancel to the end of a kernel.
+const LATE: Duration = Duration::from_millis(200);
+
+/// One of so many tries is enough: other tests on the machine only lengthen them.
+const TRIES: usize = 10;
 
 /// Cancels a kernel that would run for longer than 50 ms.
-fn ends_soon<T>(kernel: impl FnOnce(&Cancel) -> T) {
-    let cancel = Cancel::new();
-    let asking = cancel.clone();
-    let cancelled_at = std::thread::spawn(move || {
-        std::thread::sleep(Duration::from_millis(50));
-        asking.cancel();
-        Instant::now()
-    });
-    let ended = Cancel::catch(|| drop(kernel(&cancel)));
-    let cancelled_at = cancelled_at.join().expect("it only waits");
-    assert_eq!(ended, Err(Cancelled), "the kernel was too quick");
-    assert!(cancelled_at.elapsed() < LATE, "{:?}", cancelled_at.elapsed());
+fn ends_soon<T>(kernel: impl Fn(&Cancel) -> T) {
+    let late = |_| {
+        let cancel = Cancel::new();
+        let asking = cancel.clone();
+        let cancelled_at = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(50));
+            asking.cancel();
+            Instant::now()
+        });
+        let ended = Cancel::catch(|| drop(kernel(&cancel)));
+        let cancelled_at = cancelled_at.join().expect("it only waits");
+        assert_eq!(ended, Err(Cancelled), "the kernel was too quick");
+        cancelled_at.elapsed()
+    };
+    assert!((0..TRIES).map(late).any(|late| late < LATE), "{TRIES} times longer than {LATE:?}");
 }
 
 const SD_M: f64 = 0.001;
@@ -63,7 +69,7 @@ fn maximum_likelihood_ends_with_and_without_its_matrix() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for (count, partners) in [(600, 20), (20_000, 6)] {
         let problem = problem(&drawn(count, &mut rng), partners, &mut rng);
-        ends_soon(|cancel| maximum_likelihood::solve(&Problem { cancel: cancel.clone(), ..problem }));
+        ends_soon(|cancel| maximum_likelihood::solve(&Problem { cancel: cancel.clone(), ..problem.clone() }));
     }
 }
 
@@ -71,7 +77,7 @@ fn maximum_likelihood_ends_with_and_without_its_matrix() {
 fn placement_ends_between_its_starts() {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let problem = problem(&drawn(120, &mut rng), 8, &mut rng);
-    ends_soon(|cancel| placement::place(&Problem { cancel: cancel.clone(), ..problem }));
+    ends_soon(|cancel| placement::place(&Problem { cancel: cancel.clone(), ..problem.clone() }));
 }
 
 /// Arrivals without any order lead to many places, none of them sure.
@@ -85,7 +91,7 @@ fn the_search_for_hidden_patches_ends() {
     };
     let profiles: Vec<hidden::Profile> = (0..24).flat_map(|a| (0..24).map(move |b| [a, b])).map(&mut profile).collect();
     ends_soon(|cancel| {
-        let (foci, cancel) = (foci, cancel.clone());
+        let (foci, cancel) = (foci.clone(), cancel.clone());
         let room = hidden::Room { foci, dimensions: 3, false_alarm: 1e-3, count: None, blend_m: 0.0, cancel };
         hidden::find(&profiles, &room)
     });
@@ -101,7 +107,7 @@ fn the_search_for_a_faint_patch_ends() {
     };
     let profiles: Vec<faint::Profile> = (0..8).flat_map(|a| (0..8).map(move |b| [a, b])).map(&mut profile).collect();
     ends_soon(|cancel| {
-        let room = faint::Room { foci, dimensions: 3, width_m: 0.05, cancel: cancel.clone() };
+        let room = faint::Room { foci: foci.clone(), dimensions: 3, width_m: 0.05, cancel: cancel.clone() };
         faint::likeliest(&profiles, &room)
     });
 }

@@ -9,22 +9,28 @@ use rand_chacha::ChaCha8Rng;
 use crate::response::Response;
 use crate::sparse::{Given, Open, Profile, SparseOptions, Unpiled, fit, fit_counts, matched};
 
-/// From a cancel to the end of a kernel: 0.2 s, and as much again for a machine that runs other tests.
-const LATE: Duration = Duration::from_millis(400);
+/// From a cancel to the end of a kernel.
+const LATE: Duration = Duration::from_millis(200);
+
+/// One of so many tries is enough: other tests on the machine only lengthen them.
+const TRIES: usize = 10;
 
 /// Cancels a kernel that would run for longer than 50 ms.
-fn ends_soon<T>(kernel: impl FnOnce(&Cancel) -> T) {
-    let cancel = Cancel::new();
-    let asking = cancel.clone();
-    let cancelled_at = std::thread::spawn(move || {
-        std::thread::sleep(Duration::from_millis(50));
-        asking.cancel();
-        Instant::now()
-    });
-    let ended = Cancel::catch(|| drop(kernel(&cancel)));
-    let cancelled_at = cancelled_at.join().expect("it only waits");
-    assert_eq!(ended, Err(Cancelled), "the kernel was too quick");
-    assert!(cancelled_at.elapsed() < LATE, "{:?}", cancelled_at.elapsed());
+fn ends_soon<T>(kernel: impl Fn(&Cancel) -> T) {
+    let late = |_| {
+        let cancel = Cancel::new();
+        let asking = cancel.clone();
+        let cancelled_at = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(50));
+            asking.cancel();
+            Instant::now()
+        });
+        let ended = Cancel::catch(|| drop(kernel(&cancel)));
+        let cancelled_at = cancelled_at.join().expect("it only waits");
+        assert_eq!(ended, Err(Cancelled), "the kernel was too quick");
+        cancelled_at.elapsed()
+    };
+    assert!((0..TRIES).map(late).any(|late| late < LATE), "{TRIES} times longer than {LATE:?}");
 }
 
 const SD_V: f64 = 0.01;
@@ -71,6 +77,6 @@ fn matched_filters_end_between_times() {
         Profile { mean_v: &mean_v, sd_v: &sd_v, acf: &[], slow_v2: &[], jitter: None, t0_ps: 0.0, dt_ps: 10.0 };
     let given: Vec<Given> =
         (1..60).map(|n| Given { time_ps: f64::from(n) * 20_000.0, width_ps: 0.0, open: Open::Time }).collect();
-    let times_ps = (0..2_000_000).map(f64::from);
-    ends_soon(|cancel| matched(&profile, &gaussian(), &given, 0.0, times_ps, cancel));
+    let times_ps = || (0..2_000_000).map(f64::from);
+    ends_soon(|cancel| matched(&profile, &gaussian(), &given, 0.0, times_ps(), cancel));
 }

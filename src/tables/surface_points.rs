@@ -62,7 +62,7 @@ table! {
         /// Length of first light under the law that edges nearby set: half of its way there and back; of a lit point
         /// apart, its way from there over the surface.
         light_m: f64,
-        /// Standard deviation of its noise.
+        /// Standard deviation of its noise, and of the error that each place has for itself.
         light_sd_m: f64,
         /// Standard deviation of the error of that law, a smooth random function over the wall.
         light_law_sd_m: f64,

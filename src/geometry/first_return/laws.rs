@@ -102,14 +102,14 @@ fn normalised(shares: Shares) -> Shares {
     shares.map(|share| share / sum)
 }
 
-/// Lengths under these shares.
-pub fn samples(scan: &Scan, shares: &[Shares]) -> Vec<Sample> {
+/// Lengths under these shares, where each place has an error of its own beside its noise.
+pub fn samples(scan: &Scan, shares: &[Shares], own_m: f64) -> Vec<Sample> {
     let of_place = |(place, shares): (&Place, &Shares)| {
         let mean = |of: &dyn Fn(usize) -> f64| shares.iter().enumerate().map(|(k, share)| share * of(k)).sum::<f64>();
         let length_m = mean(&|k| place.returns[k].length_m);
         let apart_m2 = mean(&|k| (place.returns[k].length_m - length_m).powi(2));
         let error_m = mean(&|k| (scan.sigma_m * ERROR[k]).hypot(place.returns[k].common_m));
-        let sd_m = scan.share() * mean(&|k| place.returns[k].sd_m.powi(2)).sqrt();
+        let sd_m = (scan.share() * mean(&|k| place.returns[k].sd_m.powi(2)).sqrt()).hypot(own_m);
         Sample {
             at: place.seen,
             length_m: scan.share() * length_m,
@@ -208,6 +208,7 @@ pub fn mixed(
     without: &[Sample],
     choices: &[Choice<'_>],
     again: &[Option<Again>],
+    own_m: f64,
 ) -> Vec<Sample> {
     let half = scan.share();
     let of_place = |n: usize| {
@@ -221,7 +222,7 @@ pub fn mixed(
         let block = if flat.field.is_block { 1.0 } else { odds::probability(more) };
         let rest = 1.0 - choices[n].share;
         let of_faces = |share: f64, one: &Return| {
-            (choices[n].share * share, half * one.length_m, half * one.sd_m, half * half * own.law_m2)
+            (choices[n].share * share, half * one.length_m, own_m.hypot(half * one.sd_m), half * half * own.law_m2)
         };
         let parts = [
             of_faces(1.0 - block, &own.returns[0]),

@@ -307,6 +307,11 @@ impl<F: Local> Likeliest<F> {
         score(self.square(), self.count)
     }
 
+    /// As [`Fitted::misfit`].
+    pub fn misfit(&self) -> f64 {
+        misfit(self.square(), self.count)
+    }
+
     /// The field with its covariances; `None` where the members do not determine it.
     pub fn with_spread(self, samples: &[Sample], members: &[u32], zone_m: f64) -> Option<F> {
         let Self { field, equations, count } = self;

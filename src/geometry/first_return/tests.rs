@@ -81,6 +81,22 @@ fn a_sphere_is_found_on_a_flat_wall_and_on_one_with_relief() {
     }
 }
 
+/// Lengths scatter by four times what their noise says, as with jitter: bars say what they scatter by.
+#[test]
+fn an_error_that_each_place_has_for_itself_is_in_the_bars() {
+    for (seed, said_m) in [(11, 0.5e-3), (12, 0.5e-3), (13, 2e-3)] {
+        let mut scan = scan(&wall(32, |_, _| 0.0), Lit::Same, sphere, 2e-3, seed);
+        scan.places.iter_mut().flat_map(|place| &mut place.returns).for_each(|one| one.sd_m = said_m);
+        let points = points(&scan);
+        let mut sds_m: Vec<f64> = points.iter().map(|point| point.light.sd_m).collect();
+        sds_m.sort_by(f64::total_cmp);
+        // Half of a way there and back.
+        let sd_m = sds_m[sds_m.len() / 2];
+        assert!((0.85e-3..1.15e-3).contains(&sd_m), "{said_m} m: {sd_m} m");
+        assert!(points.len() * 10 > scan.places.len() * 9, "{} points", points.len());
+    }
+}
+
 #[test]
 fn no_field_is_fitted_across_a_valley() {
     let (held, median_m) = judged(&scan(&wall(32, |_, _| 0.0), Lit::Same, valley, 1e-3, 3), valley);
@@ -332,7 +348,7 @@ fn readings_of_flat_faces_have_the_slopes_of_differences() {
     let surface = block(Point::new(0.0, 0.0, 0.7), [0.2, 0.15, 0.0]);
     let scan = scan(&wall(16, |_, _| 0.0), Lit::Same, &surface, 1e-4, 10);
     let hints: Vec<Hint> = points(&scan).iter().map(Hint::new).collect();
-    let samples: Vec<Sample> = laws::samples(&scan, &vec![[1.0, 0.0, 0.0]; scan.places.len()]);
+    let samples: Vec<Sample> = laws::samples(&scan, &vec![[1.0, 0.0, 0.0]; scan.places.len()], 0.0);
     let members: Vec<u32> = (0..samples.len() as u32).collect();
     let sheet = Flat::starts(samples[0].at, &hints, &samples, &members, 0.07).swap_remove(0);
     for (n, flat) in (0..samples.len()).flat_map(|n| [(n, sheet.clone()), (n, sheet.other().unwrap())]) {

@@ -59,6 +59,12 @@ const COMPARED: usize = 60;
 const MIDDLE: f64 = 2.37;
 /// Share of differences between windows that is bias.
 const BIAS: f64 = 1.5;
+/// Share of places whose smallest windows surely follow one field, and what the chi-square over its degrees of freedom
+/// of seven exceeds in all but this share.
+const SMOOTH: f64 = 0.1;
+const LEAST_MISFIT: f64 = 0.405;
+/// The most of an error that a place has for itself, over the standard deviation of the response.
+const MOST_OWN: f64 = 0.36;
 
 /// Places of a wall: the nearest ones of each, how light goes to it, and cells in which more are found.
 pub struct Wall {
@@ -106,6 +112,25 @@ pub fn fields(
         Growth { scan, samples, wall, more: OnceCell::new(), place: n, way, zone_m, sizes, start, accepts }.chosen()
     };
     (0..samples.len()).into_par_iter().map(of_place).collect()
+}
+
+/// Standard deviation of an error that each place has for itself beside its noise, such as jitter of the laser: by how
+/// lengths of the smallest windows scatter about fields. Windows across creases scatter more, so that the tenth counts
+/// which scatters least.
+pub fn own_m(scan: &Scan, samples: &[Sample], near: &[Vec<u32>], is_asked: &[bool]) -> f64 {
+    let of_place = |n: usize| {
+        let members = near[n].get(..SIZES[0]).filter(|_| is_asked[n])?;
+        let misfit = Field::new(&samples[n], -scan.inwards).likeliest(samples, members)?.misfit();
+        let noise_m2 = members.iter().map(|n| samples[*n as usize].sd_m.powi(2)).sum::<f64>() / members.len() as f64;
+        Some(noise_m2 * (misfit / LEAST_MISFIT - 1.0))
+    };
+    let mut all_m2: Vec<f64> = (0..samples.len()).into_par_iter().filter_map(of_place).collect();
+    if all_m2.is_empty() {
+        return 0.0;
+    }
+    let at = (SMOOTH * all_m2.len() as f64) as usize;
+    let own_m2 = *all_m2.select_nth_unstable_by(at, f64::total_cmp).1;
+    own_m2.max(0.0).sqrt().min(MOST_OWN * scan.share() * scan.sigma_m)
 }
 
 /// The flat faces about some places, from points that are known; `None` elsewhere, and where neighbours follow none.

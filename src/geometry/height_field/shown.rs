@@ -4,14 +4,17 @@ use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
 use super::grid::{Foot, Grid};
+use super::root;
 
 /// A node is shown among so many of the nearest points that the wall sees, if none of the gaps between their directions
 /// is larger than this, and the nearest lies within so many zones.
 const AMONG: usize = 12;
 const GAP: f64 = 150.0 / 360.0 * TAU;
-const REACH: f64 = 1.5;
+const REACH: f64 = 0.7;
 /// Where a surface ends, points lie up to so many nodes beyond.
 const BORDER: usize = 2;
+/// Parts of fewer squares of a zone are no surface: places far from one another show a few nodes by chance.
+const LEAST_PART: f64 = 0.3;
 
 /// Of each node.
 pub fn nodes(grid: &Grid, feet: &[Foot], zone_m: f64) -> Vec<bool> {
@@ -43,6 +46,21 @@ pub fn nodes(grid: &Grid, feet: &[Foot], zone_m: f64) -> Vec<bool> {
         let within = |node: usize| is_shown[node] && grid.steps(node).is_some_and(|steps| is_within(steps, node));
         is_shown = (0..grid.count()).map(within).collect();
     }
+    without_small_parts(is_shown, grid, LEAST_PART * (zone_m / grid.spacing_m).powi(2))
+}
+
+/// Without nodes that hang together with fewer than so many.
+fn without_small_parts(mut is_shown: Vec<bool>, grid: &Grid, least: f64) -> Vec<bool> {
+    let mut part: Vec<usize> = (0..is_shown.len()).collect();
+    for node in (0..is_shown.len()).filter(|node| is_shown[*node]) {
+        for step in grid.steps(node).into_iter().flatten().filter(|step| is_shown[node - step]) {
+            let [a, b] = [root(&part, node), root(&part, node - step)];
+            part[a.max(b)] = a.min(b);
+        }
+    }
+    let mut counts = vec![0.0; is_shown.len()];
+    (0..is_shown.len()).filter(|node| is_shown[*node]).for_each(|node| counts[root(&part, node)] += 1.0);
+    is_shown.iter_mut().enumerate().for_each(|(node, is_shown)| *is_shown &= counts[root(&part, node)] >= least);
     is_shown
 }
 

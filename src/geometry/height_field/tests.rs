@@ -89,31 +89,35 @@ fn off(fields: &[HeightField], nearest: &impl Fn(&Point) -> Point) -> (Vec<f64>,
 /// Seeds of each surface: each is one draw, since the nodes of one share errors.
 const SEEDS: u64 = 6;
 
-fn holds(name: &str, nearest: impl Fn(&Point) -> Point) {
+/// Whether bars hold, with so many nodes of a seed or more in the mean.
+fn holds(name: &str, least: usize, nearest: impl Fn(&Point) -> Point) {
     let (mut within, mut nodes, mut worst_mm) = (0, 0, 0.0_f64);
     for seed in 0..SEEDS {
         let fields = height_fields(&sightings(seed, &nearest), &Cancel::never());
         let (squares, far_m) = off(&fields, &nearest);
         within += squares.iter().filter(|square| **square < 1.96 * 1.96).count();
         nodes += squares.len();
-        worst_mm = worst_mm.max(1e3 * median(far_m));
+        if !far_m.is_empty() {
+            worst_mm = worst_mm.max(1e3 * median(far_m));
+        }
     }
     println!("{name}: {within} of {nodes} within 95 %, medians of errors to {worst_mm:.2} mm");
-    assert!(nodes > 40 * SEEDS as usize, "{name}: {nodes} nodes");
+    assert!(nodes > least * SEEDS as usize, "{name}: {nodes} nodes");
     assert!(within * 100 >= 93 * nodes && worst_mm < 2.0, "{name}: {within} of {nodes}, {worst_mm} mm");
 }
 
 /// Points that are off by centimetres have a surface between them that is off by a millimetre.
 #[test]
 fn heights_of_concave_and_wavy_surfaces_lie_within_their_error_bars() {
-    holds("saddle", relief(saddle));
-    holds("wavy", relief(wavy));
+    // The nearest point slides fast over a saddle: few of its nodes lie next to one.
+    holds("saddle", 6, relief(saddle));
+    holds("wavy", 40, relief(wavy));
 }
 
 #[test]
 fn heights_of_spheres_and_plates_lie_within_their_error_bars() {
-    holds("sphere", sphere);
-    holds("plate", relief(|x, _| 0.3 * x));
+    holds("sphere", 40, sphere);
+    holds("plate", 40, relief(|x, _| 0.3 * x));
 }
 
 /// Edges and a corner do not say how the faces between them lie.
@@ -124,6 +128,20 @@ fn faces_that_no_place_sees_are_not_reported() {
         let (squares, _) = off(&fields, &cuboid);
         let without = squares.iter().filter(|square| **square > 9.0).count();
         assert!(without == 0, "seed {seed}: {without} of {} nodes lie off the box", squares.len());
+    }
+}
+
+/// A ring of wire: no place sees anything within it.
+#[test]
+fn within_a_ring_there_is_no_surface() {
+    let ring = |seen: &Point| {
+        let towards = Vector3::new(seen.x, seen.y, 0.0).normalize();
+        Point::new(0.0, 0.0, 0.7) + towards * 0.2
+    };
+    for seed in 0..SEEDS {
+        let fields = height_fields(&sightings(seed, &ring), &Cancel::never());
+        let nodes: usize = fields.iter().map(|field| field.nodes.len()).sum();
+        assert!(nodes == 0, "seed {seed}: {nodes} nodes");
     }
 }
 
