@@ -6,8 +6,9 @@ usage: shapes.py PERISCOPE WORK [THING ...] [--photons 3000] [--seeds 2] [--scan
 
 Surfaces are clouds of small facets that hide one another (the nearest one of each direction is seen). Scans are plain,
 or have a flaw: `gloss` of the facets, squares of two `albedos`, a response with a `tail` and a background that declines,
-`jitter` of 4 ps in the times of histograms; `hard` scans have all four. A scan has 32 x 32 points over a square metre, bins of 8 ps, a response of 60 ps and so many photons of
-the thing in a mean histogram. The true point is the facet next to the wall's point. Needs NumPy, SciPy, h5py, Polars.
+`jitter` of 4 ps in the times of histograms; `hard` scans have all four. A scan has 32 x 32 points over a square metre,
+bins of 8 ps, a response of 60 ps and so many photons of the thing in a mean histogram. The true point is the facet next
+to the wall's point. Needs NumPy, SciPy, h5py, Polars.
 """
 import argparse
 import pathlib
