@@ -9,6 +9,7 @@
 //!
 //! | module | does |
 //! |---|---|
+//! | `earlier` | places whose first light is weaker than what they show alone |
 //! | `local` | what fields have in common: how they are fitted to lengths, and how sure they are |
 //! | `way` | how light goes to a place, and the point that value and gradient show |
 //! | `field` | a bent field: value, direction, curvature |
@@ -42,6 +43,7 @@
 
 mod choice;
 mod dispersion;
+mod earlier;
 mod field;
 mod flat;
 mod laws;
@@ -61,6 +63,7 @@ use super::Point;
 use super::axes::Scatter;
 use choice::Choice;
 use dispersion::Dispersion;
+pub use earlier::{Alone, has_earlier};
 use field::Field;
 pub use field::Kind;
 use flat::{Flat, Hint};

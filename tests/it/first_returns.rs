@@ -27,6 +27,9 @@ pub const PITCH_M: f64 = 0.0015;
 /// The nearest point of each thing to a place, and what it is: 0 smooth, 1 edge, 2 corner.
 type Nearest = Box<dyn Fn(&Point) -> Vec<(Point, usize)>>;
 
+/// Light of a dark plate over that of one with the same place.
+const DARK: f64 = 0.3;
+
 /// A surface: facets (place, normal, area), and its nearest points.
 pub struct Thing {
     facets: Vec<(Point, Vector3<f64>, f64)>,
@@ -383,6 +386,23 @@ fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
     assert!(planes == 1 && shapes.len() == 1 && on_shapes > 60, "{on_shapes} points on {shapes:?}");
 }
 
+/// A dark plate before a bright one: where its light is too weak for a single histogram, that of the bright one is
+/// found first. Before neighbours counted, 421 of 851 points lay on the plate behind.
+#[test]
+fn light_from_behind_is_not_first_light() {
+    let plate = |middle: Point, half_m: f64| {
+        cuboid(middle, [Vector3::x() * half_m, Vector3::y() * half_m, Vector3::zeros()], PITCH_M)
+    };
+    let mut dark = plate(Point::new(-0.1, 0.0, 0.55), 0.05);
+    dark.facets.iter_mut().for_each(|(.., area_m2)| *area_m2 *= DARK);
+    let thing = both(dark, plate(Point::new(0.1, 0.05, 0.75), 0.15));
+    let points = results(&thing, &capture(32, 5), 3000.0).points;
+    let [count, farther] =
+        [points.iter().map(|one| one.points).sum::<usize>(), points.iter().map(|one| one.farther).sum()];
+    println!("{farther} of {count} points are those of the plate behind");
+    assert!(count - farther > 430 && farther < 150, "{farther} of {count}");
+}
+
 /// Lengths to a wave are nearly those to flat faces with a larger error of their law.
 #[test]
 fn a_wavy_surface_is_no_flat_face() {
@@ -404,9 +424,18 @@ fn hold(name: &str, nodes: &Nodes, most_m: f64) {
 /// Points of a concave surface err by centimetres along it; the surface between them does not.
 #[test]
 fn a_saddle_has_a_surface_and_a_box_has_none() {
-    let Results { points, nodes, .. } = results(&thing("saddle", 2001), &capture(32, 2001), 3000.0);
-    hold("saddle", &nodes, 1.5e-3);
-    assert!(median(&points[0].errors_m) > 1e-2, "points of a saddle are better than they were: {:?}", points[0]);
+    // How much of it is shown differs from scan to scan: three of them together.
+    let mut all = Nodes::default();
+    for seed in 2000..2003 {
+        let Results { points, nodes, .. } = results(&thing("saddle", seed), &capture(32, seed), 3000.0);
+        assert!(median(&points[0].errors_m) > 1e-2, "points of a saddle are better than they were: {:?}", points[0]);
+        assert!(nodes.errors_m.len() > 20, "{} nodes", nodes.errors_m.len());
+        all.errors_m.extend(nodes.errors_m);
+        all.sds_m.extend(nodes.sds_m);
+        all.angles_rad.extend(nodes.angles_rad);
+    }
+    hold("three saddles", &all, 1.5e-3);
+    assert!(all.errors_m.len() > 120, "{} nodes", all.errors_m.len());
     let Results { nodes, .. } = results(&thing("box", 2000), &capture(32, 2000), 3000.0);
     assert!(nodes.errors_m.is_empty(), "{} nodes", nodes.errors_m.len());
 }

@@ -80,6 +80,21 @@ fn background_alone_has_no_first_return() {
     assert_eq!(rises.count(), 0);
 }
 
+/// What rises by a number of standard deviations says as much where it is asked about, and nothing of what lies behind.
+#[test]
+fn light_before_the_first_rise_is_known() {
+    let values = means(0.0, 500.0, [2.0, 40.0]);
+    let bins = Bins { first_ps: 0.0, dt_ps: DT_PS, values: &values, noise: Noise::Counts };
+    let rise_ps = first_rise(&bins, SIGMA_PS, 5.0).unwrap();
+    let early = Early::of(&bins, SIGMA_PS, Some(rise_ps));
+    let score = |time_ps: f64| early.excess(time_ps).map(|[light, sd]| light / sd);
+    assert!(score(rise_ps).unwrap() > 5.0 && score(300.0).unwrap().abs() < 0.1);
+    // Alone up to just below where it was found: the first that exceeds them.
+    let most = score(rise_ps).unwrap();
+    assert!(first_rise(&bins, SIGMA_PS, 0.99 * most).is_some() && first_rise(&bins, SIGMA_PS, 1.01 * most).is_none());
+    assert_eq!([score(rise_ps + 10.0 * SIGMA_PS), score(DT_PS)], [None, None]);
+}
+
 #[test]
 fn levels_have_first_returns_too() {
     let rises = rises();

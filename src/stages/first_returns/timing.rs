@@ -5,9 +5,9 @@ use rayon::prelude::*;
 
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{Face, Lit, Place, Return, Scan, SurfacePoint, surface_points};
+use crate::geometry::first_return::{Alone, Face, Lit, Place, Return, Scan, SurfacePoint, has_earlier, surface_points};
 use crate::priors::campaign_fields::Medium;
-use crate::signal::edge::{self, Background, Bins, FirstReturn, Noise, Rises, Window};
+use crate::signal::edge::{self, Background, Bins, Early, FirstReturn, Noise, Rises, Window};
 
 /// What the histograms of a scan have in common.
 #[derive(Clone, Copy, Debug)]
@@ -42,10 +42,8 @@ impl Histogram for (Point, Bins<'_>) {
     }
 }
 
-/// What is kept of a histogram: the bins about its first rise.
+/// What is kept of a histogram that light rises in: the bins about its first rise.
 struct Kept {
-    number: usize,
-    seen: Point,
     first_ps: f64,
     dt_ps: f64,
     values: Vec<f64>,
@@ -61,7 +59,7 @@ impl Kept {
 
 impl Timing<'_> {
     /// Points of the surface that histograms show, each with the number of its histogram. Each histogram
-    /// is asked for once, and of its bins those about its first rise are kept.
+    /// is asked for once; of its bins those about its first rise are kept, and those before as small numbers.
     #[must_use]
     pub fn points<H: Histogram>(
         &self,
@@ -74,22 +72,32 @@ impl Timing<'_> {
             cancel.check();
             let histogram = histogram(number);
             let (seen, all) = (histogram.seen(), histogram.bins());
-            let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma)?;
-            let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
-            Some(Kept { number, seen, first_ps, dt_ps, values: values.to_vec(), noise, rise_ps })
+            let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma);
+            let early = Early::of(&all, rises.sigma_ps(), rise_ps);
+            let about = |rise_ps| {
+                let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
+                Kept { first_ps, dt_ps, values: values.to_vec(), noise, rise_ps }
+            };
+            (seen, early, rise_ps.map(about))
         };
-        let kept: Vec<Kept> = (0..count).into_par_iter().filter_map(kept).collect();
-        let before: Vec<(Bins<'_>, f64)> = kept.iter().map(|one| (one.bins(), one.rise_ps)).collect();
+        let all: Vec<(Point, Early, Option<Kept>)> = (0..count).into_par_iter().map(kept).collect();
+        let kept = || all.iter().filter_map(|(.., kept)| kept.as_ref());
+        let before: Vec<(Bins<'_>, f64)> = kept().map(|one| (one.bins(), one.rise_ps)).collect();
         let background = Background::before(&before, rises.sigma_ps());
-        let timed: Vec<(usize, Window<'_>, Place)> = kept
+        let timed: Vec<Option<(Window<'_>, Place)>> = all
             .par_iter()
-            .filter_map(|one| {
+            .map(|(seen, _, kept)| {
                 cancel.check();
+                let one = kept.as_ref()?;
                 let window = Window::about(&one.bins(), rises, background, one.rise_ps)?;
                 let [step, edge, corner] = window.first_returns().map(|first| self.returned(first));
-                Some((one.number, window, Place { seen: one.seen, returns: [step?, edge?, corner?] }))
+                Some((window, Place { seen: *seen, returns: [step?, edge?, corner?] }))
             })
             .collect();
+        let has_earlier = self.has_earlier(&all, &timed, cancel);
+        let timed = timed.into_iter().enumerate().filter(|(n, _)| !has_earlier[*n]);
+        let timed: Vec<(usize, Window<'_>, Place)> =
+            timed.filter_map(|(n, one)| one.map(|(window, place)| (n, window, place))).collect();
         let places = timed.iter().map(|(.., place)| *place).collect();
         let sigma_m = self.medium.path_m(rises.sigma_ps());
         let lit = match self.lit {
@@ -104,6 +112,28 @@ impl Timing<'_> {
             first.into_iter().map(|first| self.returned(first)).collect()
         };
         surface_points(&scan, again, cancel).into_iter().map(|point| (timed[point.place].0, point)).collect()
+    }
+
+    /// Which histograms have light before that which they show alone, as their neighbours say.
+    fn has_earlier(
+        &self,
+        all: &[(Point, Early, Option<Kept>)],
+        timed: &[Option<(Window<'_>, Place)>],
+        cancel: &Cancel,
+    ) -> Vec<bool> {
+        let steepest = match self.lit {
+            Lit::Same => 2.0,
+            Lit::One(_) => 1.0,
+            // Lengths of pairs change with their ways too.
+            Lit::Apart(_) => return vec![false; all.len()],
+        };
+        let places: Vec<Point> = all.iter().map(|(seen, ..)| *seen).collect();
+        let length_m = |timed: &Option<(Window<'_>, Place)>| timed.as_ref().map(|(_, place)| place.returns[0].length_m);
+        let lengths_m: Vec<Option<f64>> = timed.iter().map(length_m).collect();
+        let sigma_m = self.medium.path_m(self.rises.sigma_ps());
+        let alone = Alone { places: &places, inwards: self.inwards, steepest, sigma_m, lengths_m: &lengths_m };
+        let excess = |n: usize, length_m: f64| all[n].1.excess(self.medium.time_ps(length_m));
+        has_earlier(&alone, self.threshold_sigma, excess, cancel)
     }
 
     /// A first return as a length.
