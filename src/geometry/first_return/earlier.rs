@@ -1,8 +1,8 @@
 //! Places whose first light is weaker than what they show alone.
 //!
 //! First light of neighbours is a smooth function over the wall. Where some of them show it, the light of a place and
-//! of those about it is added up along planes of lengths through them: what no histogram shows alone, many do. A place
-//! that has such light before its own has its own from behind, and so do those next to it that only it has a plane for.
+//! of those about it is added up along planes of lengths through them: what no histogram shows alone, many do. Where
+//! there is such light before that which a place shows alone, the latter comes from something behind.
 
 use nalgebra::Vector3;
 use periscope_cancel::Cancel;
@@ -121,8 +121,9 @@ impl<'a> Around<'a> {
     fn planes(&self) -> impl Iterator<Item = Plane> {
         let known: Vec<([f64; 2], f64)> =
             self.all[1..].iter().filter_map(|one| Some((one.arm, one.known_m?))).collect();
-        let next = self.all[1].arm;
-        let least_m2 = WIDE * (next[0] * next[0] + next[1] * next[1]);
+        let count = known.len();
+        let [x, y] = self.all[1].arm;
+        let least_m2 = WIDE * (x * x + y * y);
         let of_three = move |[a, b, c]: [usize; 3]| {
             let (from, length_m) = known[a];
             let [(right, right_m), (left, left_m)] =
@@ -133,7 +134,6 @@ impl<'a> Around<'a> {
             let is_possible = area_m2.abs() > least_m2 && x.hypot(y) < self.alone.steepest;
             is_possible.then_some([length_m - x * from[0] - y * from[1], x, y])
         };
-        let count = self.all[1..].iter().filter(|one| one.known_m.is_some()).count();
         let threes = (0..count).flat_map(move |a| (0..a).flat_map(move |b| (0..b).map(move |c| [a, b, c])));
         threes.filter_map(of_three)
     }

@@ -1,5 +1,7 @@
 //! Where light rises: in one histogram, or where neighbours say that it does.
 
+use std::ops::Range;
+
 use super::{Bins, Noise};
 
 /// Widths of what is compared, in standard deviations of the response: the light before a rise, the gap up to it, and
@@ -24,15 +26,21 @@ impl Widths {
         Self { before, gap, behind }
     }
 
-    /// The sum of the `behind` bins from some place on, less what `quiet` before them says, from so many bins, and the
-    /// standard deviation of that.
-    fn excess(self, noise: Noise, [quiet, light]: [f64; 2], bins: usize) -> [f64; 2] {
-        let ratio = self.behind as f64 / bins as f64;
+    /// The `sum` of the bins behind a place, less what those before say, and the standard deviation of that; `None`
+    /// where there are too few before.
+    fn excess(self, noise: Noise, at: usize, sum: impl Fn(Range<usize>) -> f64) -> Option<[f64; 2]> {
+        let Self { before, gap, behind } = self;
+        let [from, to] = [at.saturating_sub(before + gap), at.saturating_sub(gap)];
+        if to <= from + gap {
+            return None;
+        }
+        let ratio = behind as f64 / (to - from) as f64;
+        let [quiet, light] = [sum(from..to), sum(at..at + behind)];
         let variance = match noise {
             Noise::Counts => (ratio * (quiet + light)).max(ratio),
-            Noise::Gauss { sd } => sd * sd * self.behind as f64 * (1.0 + ratio),
+            Noise::Gauss { sd } => sd * sd * behind as f64 * (1.0 + ratio),
         };
-        [light - ratio * quiet, variance.sqrt()]
+        Some([light - ratio * quiet, variance.sqrt()])
     }
 }
 
@@ -48,16 +56,11 @@ pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64>
     sums.push(0.0);
     bins.values.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
     let widths = Widths::new(sigma_ps, bins.dt_ps);
-    let Widths { before, gap, behind } = widths;
+    let last = bins.values.len().saturating_sub(widths.behind);
     let score = |at: usize| {
-        let [from, to] = [at.saturating_sub(before + gap), at.saturating_sub(gap)];
-        if to <= from + gap || at + behind >= sums.len() {
-            return f64::NEG_INFINITY;
-        }
-        let [excess, sd] = widths.excess(bins.noise, [sums[to] - sums[from], sums[at + behind] - sums[at]], to - from);
-        excess / sd
+        let excess = widths.excess(bins.noise, at, |range| sums[range.end] - sums[range.start]);
+        excess.map_or(f64::NEG_INFINITY, |[excess, sd]| excess / sd)
     };
-    let last = bins.values.len().saturating_sub(behind);
     let start = (0..last).find(|at| score(*at) > threshold)?;
     // Strong light exceeds the threshold long before it has risen: on to where the score rises no more.
     let up = wide(UP * sigma_ps, bins.dt_ps);
@@ -95,14 +98,10 @@ impl Early {
     /// `None` where the histogram is not known as far, or begins too late.
     #[must_use]
     pub fn excess(&self, time_ps: f64) -> Option<[f64; 2]> {
-        let Widths { before, gap, behind } = self.widths;
         let at = ((time_ps - 0.5 * self.sigma_ps - self.first_ps) / self.dt_ps + 0.5).round();
-        if at < 0.0 || at as usize + behind > self.values.len() {
+        if at < 0.0 || at + self.widths.behind as f64 > self.values.len() as f64 {
             return None;
         }
-        let at = at as usize;
-        let [from, to] = [at.saturating_sub(before + gap), at.saturating_sub(gap)];
-        let sum = |from: usize, to: usize| self.values[from..to].iter().copied().map(f64::from).sum::<f64>();
-        (to > from + gap).then(|| self.widths.excess(self.noise, [sum(from, to), sum(at, at + behind)], to - from))
+        self.widths.excess(self.noise, at as usize, |range| self.values[range].iter().copied().map(f64::from).sum())
     }
 }

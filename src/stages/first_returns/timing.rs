@@ -42,8 +42,15 @@ impl Histogram for (Point, Bins<'_>) {
     }
 }
 
-/// What is kept of a histogram that light rises in: the bins about its first rise.
-struct Kept {
+/// What is kept of a histogram: the bins before its first rise, and, where light rises in it, those about that.
+struct Start {
+    seen: Point,
+    early: Early,
+    rise: Option<Rise>,
+}
+
+/// Bins about a first rise.
+struct Rise {
     first_ps: f64,
     dt_ps: f64,
     values: Vec<f64>,
@@ -51,7 +58,7 @@ struct Kept {
     rise_ps: f64,
 }
 
-impl Kept {
+impl Rise {
     fn bins(&self) -> Bins<'_> {
         Bins { first_ps: self.first_ps, dt_ps: self.dt_ps, values: &self.values, noise: self.noise }
     }
@@ -59,7 +66,7 @@ impl Kept {
 
 impl Timing<'_> {
     /// Points of the surface that histograms show, each with the number of its histogram. Each histogram
-    /// is asked for once; of its bins those about its first rise are kept, and those before as small numbers.
+    /// is asked for once; of its bins those about its first rise are kept, and those before with seven digits.
     #[must_use]
     pub fn points<H: Histogram>(
         &self,
@@ -68,36 +75,35 @@ impl Timing<'_> {
         cancel: &Cancel,
     ) -> Vec<(usize, SurfacePoint)> {
         let rises = self.rises;
-        let kept = |number: usize| {
+        let start = |number: usize| {
             cancel.check();
             let histogram = histogram(number);
-            let (seen, all) = (histogram.seen(), histogram.bins());
+            let all = histogram.bins();
             let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma);
-            let early = Early::of(&all, rises.sigma_ps(), rise_ps);
-            let about = |rise_ps| {
+            let rise = |rise_ps| {
                 let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
-                Kept { first_ps, dt_ps, values: values.to_vec(), noise, rise_ps }
+                Rise { first_ps, dt_ps, values: values.to_vec(), noise, rise_ps }
             };
-            (seen, early, rise_ps.map(about))
+            let early = Early::of(&all, rises.sigma_ps(), rise_ps);
+            Start { seen: histogram.seen(), early, rise: rise_ps.map(rise) }
         };
-        let all: Vec<(Point, Early, Option<Kept>)> = (0..count).into_par_iter().map(kept).collect();
-        let kept = || all.iter().filter_map(|(.., kept)| kept.as_ref());
-        let before: Vec<(Bins<'_>, f64)> = kept().map(|one| (one.bins(), one.rise_ps)).collect();
+        let all: Vec<Start> = (0..count).into_par_iter().map(start).collect();
+        let shown = all.iter().filter_map(|one| one.rise.as_ref());
+        let before: Vec<(Bins<'_>, f64)> = shown.map(|one| (one.bins(), one.rise_ps)).collect();
         let background = Background::before(&before, rises.sigma_ps());
-        let timed: Vec<Option<(Window<'_>, Place)>> = all
+        let mut timed: Vec<(usize, Window<'_>, Place)> = all
             .par_iter()
-            .map(|(seen, _, kept)| {
+            .enumerate()
+            .filter_map(|(n, one)| {
                 cancel.check();
-                let one = kept.as_ref()?;
-                let window = Window::about(&one.bins(), rises, background, one.rise_ps)?;
+                let rise = one.rise.as_ref()?;
+                let window = Window::about(&rise.bins(), rises, background, rise.rise_ps)?;
                 let [step, edge, corner] = window.first_returns().map(|first| self.returned(first));
-                Some((window, Place { seen: *seen, returns: [step?, edge?, corner?] }))
+                Some((n, window, Place { seen: one.seen, returns: [step?, edge?, corner?] }))
             })
             .collect();
         let has_earlier = self.has_earlier(&all, &timed, cancel);
-        let timed = timed.into_iter().enumerate().filter(|(n, _)| !has_earlier[*n]);
-        let timed: Vec<(usize, Window<'_>, Place)> =
-            timed.filter_map(|(n, one)| one.map(|(window, place)| (n, window, place))).collect();
+        timed.retain(|(n, ..)| !has_earlier[*n]);
         let places = timed.iter().map(|(.., place)| *place).collect();
         let sigma_m = self.medium.path_m(rises.sigma_ps());
         let lit = match self.lit {
@@ -115,24 +121,19 @@ impl Timing<'_> {
     }
 
     /// Which histograms have light before that which they show alone, as their neighbours say.
-    fn has_earlier(
-        &self,
-        all: &[(Point, Early, Option<Kept>)],
-        timed: &[Option<(Window<'_>, Place)>],
-        cancel: &Cancel,
-    ) -> Vec<bool> {
+    fn has_earlier(&self, all: &[Start], timed: &[(usize, Window<'_>, Place)], cancel: &Cancel) -> Vec<bool> {
         let steepest = match self.lit {
             Lit::Same => 2.0,
             Lit::One(_) => 1.0,
             // Lengths of pairs change with their ways too.
             Lit::Apart(_) => return vec![false; all.len()],
         };
-        let places: Vec<Point> = all.iter().map(|(seen, ..)| *seen).collect();
-        let length_m = |timed: &Option<(Window<'_>, Place)>| timed.as_ref().map(|(_, place)| place.returns[0].length_m);
-        let lengths_m: Vec<Option<f64>> = timed.iter().map(length_m).collect();
+        let places: Vec<Point> = all.iter().map(|one| one.seen).collect();
+        let mut lengths_m = vec![None; all.len()];
+        timed.iter().for_each(|(n, _, place)| lengths_m[*n] = Some(place.returns[0].length_m));
         let sigma_m = self.medium.path_m(self.rises.sigma_ps());
         let alone = Alone { places: &places, inwards: self.inwards, steepest, sigma_m, lengths_m: &lengths_m };
-        let excess = |n: usize, length_m: f64| all[n].1.excess(self.medium.time_ps(length_m));
+        let excess = |n: usize, length_m: f64| all[n].early.excess(self.medium.time_ps(length_m));
         has_earlier(&alone, self.threshold_sigma, excess, cancel)
     }
 
