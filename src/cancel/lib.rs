@@ -34,6 +34,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use thiserror::Error;
 
+pub use soon::ends_soon;
+
+mod soon;
+
 /// Asks computations to end. Clones are one token: a cancel through any of them reaches all. The default is
 /// [`Cancel::never`].
 #[derive(Clone, Debug, Default)]

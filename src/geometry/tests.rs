@@ -1,38 +1,12 @@
 //! Cancels reach the kernels that compute longest.
 
-use std::time::{Duration, Instant};
-
-use periscope_cancel::{Cancel, Cancelled};
+use periscope_cancel::ends_soon;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::hidden::{self, Arrival, Focus};
 use crate::maximum_likelihood::{self, Node, Observation, Problem};
 use crate::{Point, faint, placement};
-
-/// From a cancel to the end of a kernel.
-const LATE: Duration = Duration::from_millis(200);
-
-/// One of so many tries is enough: other tests on the machine only lengthen them.
-const TRIES: usize = 10;
-
-/// Cancels a kernel that would run for longer than 50 ms.
-fn ends_soon<T>(kernel: impl Fn(&Cancel) -> T) {
-    let late = |_| {
-        let cancel = Cancel::new();
-        let asking = cancel.clone();
-        let cancelled_at = std::thread::spawn(move || {
-            std::thread::sleep(Duration::from_millis(50));
-            asking.cancel();
-            Instant::now()
-        });
-        let ended = Cancel::catch(|| drop(kernel(&cancel)));
-        let cancelled_at = cancelled_at.join().expect("it only waits");
-        assert_eq!(ended, Err(Cancelled), "the kernel was too quick");
-        cancelled_at.elapsed()
-    };
-    assert!((0..TRIES).map(late).any(|late| late < LATE), "{TRIES} times longer than {LATE:?}");
-}
 
 const SD_M: f64 = 0.001;
 
