@@ -9,7 +9,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | `earlier` | places whose first light is weaker than what they show alone |
+//! | `alike` | which neighbours show light of the same thing |
 //! | `local` | what fields have in common: how they are fitted to lengths, and how sure they are |
 //! | `way` | how light goes to a place, and the point that value and gradient show |
 //! | `field` | a bent field: value, direction, curvature |
@@ -41,9 +41,9 @@
 //! Not modelled: errors of the wall's places, later returns, flat faces where the lit point is not the seen point, and
 //! the wall's relief in how the lengths of pairs that move together change across the wall.
 
+mod alike;
 mod choice;
 mod dispersion;
-mod earlier;
 mod field;
 mod flat;
 mod laws;
@@ -61,9 +61,9 @@ use rayon::prelude::*;
 
 use super::Point;
 use super::axes::Scatter;
+pub use alike::alike;
 use choice::Choice;
 use dispersion::Dispersion;
-pub use earlier::{Alone, has_earlier};
 use field::Field;
 pub use field::Kind;
 use flat::{Flat, Hint};

@@ -17,12 +17,14 @@
 //! again ([`Window::first_return`]).
 
 mod background;
+mod early;
 mod law;
 mod rise;
 
 pub use background::Background;
+pub use early::{Early, earlier_light};
 pub use law::{CORNER, EDGE, Ends, Face, Rise, Rises, STEP};
-pub use rise::{Early, first_rise};
+pub use rise::first_rise;
 
 use super::response::Response;
 

@@ -80,19 +80,40 @@ fn background_alone_has_no_first_return() {
     assert_eq!(rises.count(), 0);
 }
 
-/// What rises by a number of standard deviations says as much where it is asked about, and nothing of what lies behind.
+/// Histograms that show light from 2,400 ps on, and weaker light of this many counts a bin from a time on.
+fn with_weak_light(count: usize, weak: f64, from_ps: f64, random: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
+    let mut bin = |n: usize| {
+        let time_ps = n as f64 * DT_PS;
+        let light = if time_ps > 2400.0 { 4.0 } else { 0.0 } + if time_ps > from_ps { weak } else { 0.0 };
+        Poisson::new(0.2 + light).unwrap().sample(random)
+    };
+    (0..count).map(|_| (0..400).map(&mut bin).collect()).collect()
+}
+
+/// By how much the histograms of a group together show light before what each shows alone.
+fn earlier(histograms: &[Vec<f64>], noise: Noise) -> f64 {
+    let early = |values: &Vec<f64>| {
+        let bins = Bins { first_ps: 0.0, dt_ps: DT_PS, values, noise };
+        let rise_ps = first_rise(&bins, SIGMA_PS, 5.0)?;
+        Some((Early::before(&bins, SIGMA_PS, rise_ps)?, 2400.0))
+    };
+    let early: Vec<(Early, f64)> = histograms.iter().filter_map(early).collect();
+    let early: Vec<(&Early, f64)> = early.iter().map(|(early, time_ps)| (early, *time_ps)).collect();
+    earlier_light(&early, SIGMA_PS)
+}
+
 #[test]
-fn light_before_the_first_rise_is_known() {
-    let values = means(0.0, 500.0, [2.0, 40.0]);
-    let bins = Bins { first_ps: 0.0, dt_ps: DT_PS, values: &values, noise: Noise::Counts };
-    let rise_ps = first_rise(&bins, SIGMA_PS, 5.0).unwrap();
-    let early = Early::of(&bins, SIGMA_PS, Some(rise_ps));
-    let score = |time_ps: f64| early.excess(time_ps).map(|[light, sd]| light / sd);
-    assert!(score(rise_ps).unwrap() > 5.0 && score(300.0).unwrap().abs() < 0.1);
-    // Alone up to just below where it was found: the first that exceeds them.
-    let most = score(rise_ps).unwrap();
-    assert!(first_rise(&bins, SIGMA_PS, 0.99 * most).is_some() && first_rise(&bins, SIGMA_PS, 1.01 * most).is_none());
-    assert_eq!([score(rise_ps + 10.0 * SIGMA_PS), score(DT_PS)], [None, None]);
+fn light_that_no_histogram_shows_is_found_in_many() {
+    let mut random = ChaCha8Rng::seed_from_u64(15);
+    let mut groups = |count: usize, weak: f64, from_ps: f64| -> usize {
+        let is_found = |_: &usize| earlier(&with_weak_light(count, weak, from_ps, &mut random), Noise::Counts) > 5.0;
+        (0..40).filter(is_found).count()
+    };
+    assert_eq!([groups(49, 0.0, 0.0), groups(1, 0.0, 0.0)], [0, 0]);
+    assert_eq!([groups(49, 0.1, 1600.0), groups(1, 0.1, 1600.0)], [40, 0]);
+    // Light that grows just before is that which is shown, and light that was always there tells nothing.
+    assert_eq!([groups(49, 0.1, 2360.0), groups(49, 0.1, 0.0)], [0, 0]);
+    assert_eq!(earlier(&with_weak_light(49, 0.1, 1600.0, &mut random), Noise::Gauss { sd: 0.5 }), 0.0);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{Alone, Face, Lit, Place, Return, Scan, SurfacePoint, has_earlier, surface_points};
+use crate::geometry::first_return::{Face, Lit, Place, Return, Scan, SurfacePoint, alike, surface_points};
 use crate::priors::campaign_fields::Medium;
 use crate::signal::edge::{self, Background, Bins, Early, FirstReturn, Noise, Rises, Window};
 
@@ -42,20 +42,14 @@ impl Histogram for (Point, Bins<'_>) {
     }
 }
 
-/// What is kept of a histogram: the bins before its first rise, and, where light rises in it, those about that.
-struct Start {
-    seen: Point,
-    early: Early,
-    rise: Option<Rise>,
-}
-
-/// Bins about a first rise.
+/// Bins about the first rise of a histogram, and what lies before it.
 struct Rise {
     first_ps: f64,
     dt_ps: f64,
     values: Vec<f64>,
     noise: Noise,
     rise_ps: f64,
+    early: Option<Early>,
 }
 
 impl Rise {
@@ -75,35 +69,35 @@ impl Timing<'_> {
         cancel: &Cancel,
     ) -> Vec<(usize, SurfacePoint)> {
         let rises = self.rises;
-        let start = |number: usize| {
+        let rise = |number: usize| {
             cancel.check();
             let histogram = histogram(number);
             let all = histogram.bins();
             let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma);
-            let rise = |rise_ps| {
+            let about = |rise_ps| {
                 let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
-                Rise { first_ps, dt_ps, values: values.to_vec(), noise, rise_ps }
+                let early = Early::before(&all, rises.sigma_ps(), rise_ps);
+                Rise { first_ps, dt_ps, values: values.to_vec(), noise, rise_ps, early }
             };
-            let early = Early::of(&all, rises.sigma_ps(), rise_ps);
-            Start { seen: histogram.seen(), early, rise: rise_ps.map(rise) }
+            (histogram.seen(), rise_ps.map(about))
         };
-        let all: Vec<Start> = (0..count).into_par_iter().map(start).collect();
-        let shown = all.iter().filter_map(|one| one.rise.as_ref());
-        let before: Vec<(Bins<'_>, f64)> = shown.map(|one| (one.bins(), one.rise_ps)).collect();
+        let all: Vec<(Point, Option<Rise>)> = (0..count).into_par_iter().map(rise).collect();
+        let shown = all.iter().filter_map(|(_, rise)| rise.as_ref());
+        let before: Vec<(Bins<'_>, f64)> = shown.map(|rise| (rise.bins(), rise.rise_ps)).collect();
         let background = Background::before(&before, rises.sigma_ps());
         let mut timed: Vec<(usize, Window<'_>, Place)> = all
             .par_iter()
             .enumerate()
-            .filter_map(|(n, one)| {
+            .filter_map(|(n, (seen, rise))| {
                 cancel.check();
-                let rise = one.rise.as_ref()?;
+                let rise = rise.as_ref()?;
                 let window = Window::about(&rise.bins(), rises, background, rise.rise_ps)?;
                 let [step, edge, corner] = window.first_returns().map(|first| self.returned(first));
-                Some((n, window, Place { seen: one.seen, returns: [step?, edge?, corner?] }))
+                Some((n, window, Place { seen: *seen, returns: [step?, edge?, corner?] }))
             })
             .collect();
-        let has_earlier = self.has_earlier(&all, &timed, cancel);
-        timed.retain(|(n, ..)| !has_earlier[*n]);
+        let from_behind = self.from_behind(&all, &timed, cancel);
+        timed.retain(|(n, ..)| !from_behind[*n]);
         let places = timed.iter().map(|(.., place)| *place).collect();
         let sigma_m = self.medium.path_m(rises.sigma_ps());
         let lit = match self.lit {
@@ -120,21 +114,34 @@ impl Timing<'_> {
         surface_points(&scan, again, cancel).into_iter().map(|point| (timed[point.place].0, point)).collect()
     }
 
-    /// Which histograms have light before that which they show alone, as their neighbours say.
-    fn has_earlier(&self, all: &[Start], timed: &[(usize, Window<'_>, Place)], cancel: &Cancel) -> Vec<bool> {
+    /// Which histograms show light from behind: with those of their neighbours they have light before it.
+    fn from_behind(
+        &self,
+        all: &[(Point, Option<Rise>)],
+        timed: &[(usize, Window<'_>, Place)],
+        cancel: &Cancel,
+    ) -> Vec<bool> {
         let steepest = match self.lit {
             Lit::Same => 2.0,
             Lit::One(_) => 1.0,
             // Lengths of pairs change with their ways too.
             Lit::Apart(_) => return vec![false; all.len()],
         };
-        let places: Vec<Point> = all.iter().map(|one| one.seen).collect();
-        let mut lengths_m = vec![None; all.len()];
-        timed.iter().for_each(|(n, _, place)| lengths_m[*n] = Some(place.returns[0].length_m));
-        let sigma_m = self.medium.path_m(self.rises.sigma_ps());
-        let alone = Alone { places: &places, inwards: self.inwards, steepest, sigma_m, lengths_m: &lengths_m };
-        let excess = |n: usize, length_m: f64| all[n].early.excess(self.medium.time_ps(length_m));
-        has_earlier(&alone, self.threshold_sigma, excess, cancel)
+        let sigma_ps = self.rises.sigma_ps();
+        let mut places: Vec<(Point, Option<f64>)> = all.iter().map(|(seen, _)| (*seen, None)).collect();
+        // Under whichever law it begins earliest.
+        let first_m = |place: &Place| place.returns.iter().map(|one| one.length_m).fold(f64::INFINITY, f64::min);
+        timed.iter().for_each(|(n, _, place)| places[*n].1 = Some(first_m(place)));
+        let early = |n: &usize| {
+            let early = all[*n].1.as_ref()?.early.as_ref()?;
+            Some((early, self.medium.time_ps(places[*n].1?)))
+        };
+        let is_from_behind = |neighbours: &Vec<usize>| {
+            cancel.check();
+            let early: Vec<(&Early, f64)> = neighbours.iter().filter_map(early).collect();
+            edge::earlier_light(&early, sigma_ps) > self.threshold_sigma
+        };
+        alike(&places, steepest, self.medium.path_m(sigma_ps), cancel).par_iter().map(is_from_behind).collect()
     }
 
     /// A first return as a length.
