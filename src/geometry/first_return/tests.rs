@@ -103,7 +103,7 @@ fn neighbours_show_the_same_thing() {
     let wall = wall(32, |_, _| 0.0);
     let is_near = |n: usize| wall[n].x < 0.0;
     let length_m = |n: usize| 1.4 + 0.3 * wall[n].x + 0.1 * wall[n].y + if is_near(n) { 0.0 } else { 0.2 };
-    let shows = |n: usize| n % 5 > 0;
+    let shows = |n: usize| !n.is_multiple_of(5);
     let places: Vec<(Point, Option<f64>)> = (0..wall.len()).map(|n| (wall[n], shows(n).then(|| length_m(n)))).collect();
     let alike = alike(&places, 2.0, SIGMA_M, &Cancel::never());
     assert_eq!(alike.len(), wall.len());

@@ -48,7 +48,7 @@ struct Rise {
     dt_ps: f64,
     values: Vec<f64>,
     noise: Noise,
-    rise_ps: f64,
+    time_ps: f64,
     early: Option<Early>,
 }
 
@@ -76,14 +76,14 @@ impl Timing<'_> {
             let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma);
             let about = |rise_ps| {
                 let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
-                let early = Early::before(&all, rises.sigma_ps(), rise_ps);
-                Rise { first_ps, dt_ps, values: values.to_vec(), noise, rise_ps, early }
+                let early = self.steepest().and_then(|_| Early::before(&all, rises.sigma_ps(), rise_ps));
+                Rise { first_ps, dt_ps, values: values.to_vec(), noise, time_ps: rise_ps, early }
             };
             (histogram.seen(), rise_ps.map(about))
         };
         let all: Vec<(Point, Option<Rise>)> = (0..count).into_par_iter().map(rise).collect();
         let shown = all.iter().filter_map(|(_, rise)| rise.as_ref());
-        let before: Vec<(Bins<'_>, f64)> = shown.map(|rise| (rise.bins(), rise.rise_ps)).collect();
+        let before: Vec<(Bins<'_>, f64)> = shown.map(|rise| (rise.bins(), rise.time_ps)).collect();
         let background = Background::before(&before, rises.sigma_ps());
         let mut timed: Vec<(usize, Window<'_>, Place)> = all
             .par_iter()
@@ -91,13 +91,13 @@ impl Timing<'_> {
             .filter_map(|(n, (seen, rise))| {
                 cancel.check();
                 let rise = rise.as_ref()?;
-                let window = Window::about(&rise.bins(), rises, background, rise.rise_ps)?;
+                let window = Window::about(&rise.bins(), rises, background, rise.time_ps)?;
                 let [step, edge, corner] = window.first_returns().map(|first| self.returned(first));
                 Some((n, window, Place { seen: *seen, returns: [step?, edge?, corner?] }))
             })
             .collect();
-        let from_behind = self.from_behind(&all, &timed, cancel);
-        timed.retain(|(n, ..)| !from_behind[*n]);
+        let are_from_behind = self.are_from_behind(&all, &timed, cancel);
+        timed.retain(|(n, ..)| !are_from_behind[*n]);
         let places = timed.iter().map(|(.., place)| *place).collect();
         let sigma_m = self.medium.path_m(rises.sigma_ps());
         let lit = match self.lit {
@@ -115,18 +115,13 @@ impl Timing<'_> {
     }
 
     /// Which histograms show light from behind: with those of their neighbours they have light before it.
-    fn from_behind(
+    fn are_from_behind(
         &self,
         all: &[(Point, Option<Rise>)],
         timed: &[(usize, Window<'_>, Place)],
         cancel: &Cancel,
     ) -> Vec<bool> {
-        let steepest = match self.lit {
-            Lit::Same => 2.0,
-            Lit::One(_) => 1.0,
-            // Lengths of pairs change with their ways too.
-            Lit::Apart(_) => return vec![false; all.len()],
-        };
+        let Some(steepest) = self.steepest() else { return vec![false; all.len()] };
         let sigma_ps = self.rises.sigma_ps();
         let mut places: Vec<(Point, Option<f64>)> = all.iter().map(|(seen, _)| (*seen, None)).collect();
         // Under whichever law it begins earliest.
@@ -142,6 +137,15 @@ impl Timing<'_> {
             edge::earlier_light(&early, sigma_ps) > self.threshold_sigma
         };
         alike(&places, steepest, self.medium.path_m(sigma_ps), cancel).par_iter().map(is_from_behind).collect()
+    }
+
+    /// The most that lengths change over the wall; `None` of pairs, where they change with the ways too.
+    fn steepest(&self) -> Option<f64> {
+        match self.lit {
+            Lit::Same => Some(2.0),
+            Lit::One(_) => Some(1.0),
+            Lit::Apart(_) => None,
+        }
     }
 
     /// A first return as a length.
