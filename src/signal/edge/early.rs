@@ -15,6 +15,8 @@ const EARLIER: f64 = 6.0;
 const LENGTHS: [f64; 5] = [2.5, 5.0, 10.0, 20.0, 40.0];
 const GAP: f64 = 1.0;
 const BEFORE: usize = 2;
+/// Light that exceeds what there is without it by a smaller share than this is none: the background may have a slope.
+const LEAST: f64 = 0.15;
 
 /// Counts of a histogram before its first rise.
 #[derive(Clone, Debug)]
@@ -81,14 +83,14 @@ pub fn earlier_light(histograms: &[(&Early, f64)], sigma_ps: f64) -> f64 {
     scores.fold(0.0, f64::max)
 }
 
-/// By how many standard deviations a count exceeds another one times a ratio: the signed root of twice the logarithm of
-/// the ratio of likelihoods.
+/// By how many standard deviations a count exceeds another one times a ratio, where it does by a share that counts: the
+/// root of twice the logarithm of the ratio of likelihoods.
 fn excess(light: f64, quiet: f64, ratio: f64) -> f64 {
-    let all = light + quiet;
-    let expected = all * ratio / (1.0 + ratio);
-    if light <= expected {
+    if light <= (1.0 + LEAST) * ratio * quiet {
         return 0.0;
     }
+    let all = light + quiet;
+    let expected = all * ratio / (1.0 + ratio);
     let part = |count: f64, mean: f64| if count > 0.0 { count * (count / mean).ln() } else { 0.0 };
     (2.0 * (part(light, expected) + part(quiet, all - expected))).max(0.0).sqrt()
 }

@@ -80,12 +80,11 @@ fn background_alone_has_no_first_return() {
     assert_eq!(rises.count(), 0);
 }
 
-/// Histograms that show light from 2,400 ps on, and weaker light of this many counts a bin from a time on.
-fn with_weak_light(count: usize, weak: f64, from_ps: f64, random: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
+/// Histograms that show light from 2,400 ps on, and before that so many counts a bin.
+fn early_light(count: usize, random: &mut ChaCha8Rng, before: impl Fn(f64) -> f64) -> Vec<Vec<f64>> {
     let mut bin = |n: usize| {
         let time_ps = n as f64 * DT_PS;
-        let light = if time_ps > 2400.0 { 4.0 } else { 0.0 } + if time_ps > from_ps { weak } else { 0.0 };
-        Poisson::new(0.2 + light).unwrap().sample(random)
+        Poisson::new(before(time_ps) + if time_ps > 2400.0 { 8.0 } else { 0.0 }).unwrap().sample(random)
     };
     (0..count).map(|_| (0..400).map(&mut bin).collect()).collect()
 }
@@ -105,15 +104,18 @@ fn earlier(histograms: &[Vec<f64>], noise: Noise) -> f64 {
 #[test]
 fn light_that_no_histogram_shows_is_found_in_many() {
     let mut random = ChaCha8Rng::seed_from_u64(15);
-    let mut groups = |count: usize, weak: f64, from_ps: f64| -> usize {
-        let is_found = |_: &usize| earlier(&with_weak_light(count, weak, from_ps, &mut random), Noise::Counts) > 5.0;
+    let mut groups = |count: usize, before: &dyn Fn(f64) -> f64| -> usize {
+        let is_found = |_: &usize| earlier(&early_light(count, &mut random, before), Noise::Counts) > 5.0;
         (0..40).filter(is_found).count()
     };
-    assert_eq!([groups(49, 0.0, 0.0), groups(1, 0.0, 0.0)], [0, 0]);
-    assert_eq!([groups(49, 0.1, 1600.0), groups(1, 0.1, 1600.0)], [40, 0]);
-    // Light that grows just before is that which is shown, and light that was always there tells nothing.
-    assert_eq!([groups(49, 0.1, 2360.0), groups(49, 0.1, 0.0)], [0, 0]);
-    assert_eq!(earlier(&with_weak_light(49, 0.1, 1600.0, &mut random), Noise::Gauss { sd: 0.5 }), 0.0);
+    let weak = |from_ps: f64| move |time_ps: f64| if time_ps > from_ps { 0.3 } else { 0.2 };
+    assert_eq!([groups(49, &|_| 0.2), groups(1, &|_| 0.2)], [0, 0]);
+    assert_eq!([groups(49, &weak(1600.0)), groups(1, &weak(1600.0))], [40, 0]);
+    // Light that grows just before is that which is shown.
+    assert_eq!(groups(49, &|time_ps| if time_ps > 2300.0 { 1.0 } else { 0.2 }), 0);
+    // A background that grows by a third over 5 ns.
+    assert_eq!(groups(49, &|time_ps| 2.0 + 1.3e-4 * time_ps), 0);
+    assert_eq!(earlier(&early_light(49, &mut random, weak(1600.0)), Noise::Gauss { sd: 0.5 }), 0.0);
 }
 
 #[test]
