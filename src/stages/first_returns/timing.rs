@@ -60,7 +60,7 @@ impl Rise {
 
 impl Timing<'_> {
     /// Points of the surface that histograms show, each with the number of its histogram. Each histogram
-    /// is asked for once; of its bins those about its first rise are kept, and those before with seven digits.
+    /// is asked for once; of its bins those about its first rise are kept, and sums of those before.
     #[must_use]
     pub fn points<H: Histogram>(
         &self,
