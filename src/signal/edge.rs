@@ -118,6 +118,11 @@ impl Bins<'_> {
     }
 }
 
+/// Bins, or cells, of a width.
+fn wide(width_ps: f64, dt_ps: f64) -> usize {
+    ((width_ps / dt_ps).round() as usize).max(1)
+}
+
 /// A first return under one law.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FirstReturn {

@@ -4,7 +4,7 @@
 //! histograms over many times the response's width is not. Histograms of neighbours are added up as they lie before
 //! what each shows alone: light of something nearer then lies at nearly one place.
 
-use super::{Bins, Noise};
+use super::{Bins, Noise, wide};
 
 /// Width of a cell, in standard deviations of the response.
 const CELL: f64 = 0.5;
@@ -93,8 +93,4 @@ fn excess(light: f64, quiet: f64, ratio: f64) -> f64 {
     let expected = all * ratio / (1.0 + ratio);
     let part = |count: f64, mean: f64| if count > 0.0 { count * (count / mean).ln() } else { 0.0 };
     (2.0 * (part(light, expected) + part(quiet, all - expected))).max(0.0).sqrt()
-}
-
-fn wide(width_ps: f64, dt_ps: f64) -> usize {
-    ((width_ps / dt_ps).round() as usize).max(1)
 }

@@ -1,6 +1,6 @@
 //! Where light rises in a histogram.
 
-use super::{Bins, Noise};
+use super::{Bins, Noise, wide};
 
 /// Widths of what is compared, in standard deviations of the response: the light before a rise, the gap up to it, and
 /// the light behind it.
@@ -17,7 +17,7 @@ pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64>
     let mut sums = Vec::with_capacity(bins.values.len() + 1);
     sums.push(0.0);
     bins.values.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
-    let wide = |sigmas: f64| ((sigmas * sigma_ps / bins.dt_ps).round() as usize).max(1);
+    let wide = |sigmas: f64| wide(sigmas * sigma_ps, bins.dt_ps);
     let [before, gap, behind] = [BEFORE, GAP, BEHIND].map(wide);
     let score = |at: usize| {
         let [from, to] = [at.saturating_sub(before + gap), at.saturating_sub(gap)];
