@@ -11,8 +11,11 @@ use periscope_geometry::association::{Expected, Time, associate};
 use periscope_geometry::maximum_likelihood::{Node, Observation, Problem, approach};
 use periscope_signal::average::PhaseSums;
 use periscope_signal::codes::Codes;
+use periscope_signal::dark::Dark;
 use periscope_signal::fft::RealFft;
+use periscope_signal::outlying::OutlierTest;
 use periscope_signal::response::Response;
+use periscope_signal::shot_spread::{HEAD_SHOTS, Spread};
 use periscope_signal::sparse::{self, Profile, SparseOptions};
 use periscope_signal::wiener::{Transfer, Wiener};
 use periscope_signal::{noise, onset};
@@ -23,14 +26,16 @@ use rand_chacha::ChaCha8Rng;
 pub type Kernel = Box<dyn FnMut()>;
 
 /// All, by name.
-pub const ALL: [(&str, fn() -> Kernel); 11] = [
+pub const ALL: [(&str, fn() -> Kernel); 13] = [
     ("associate", association),
     ("gauss-newton", gauss_newton),
     ("leading-edge", leading_edge),
     ("noise", noise_of_stretches),
     ("npy-sums", npy_sums),
+    ("outliers", outliers),
     ("plain-sum", plain_sum),
     ("sparse", sparse_fit),
+    ("spread", spread_of_shots),
     ("sums-all-phases", sums_all_phases),
     ("sums-one-phase", sums_one_phase),
     ("threshold", threshold),
@@ -100,6 +105,37 @@ fn noise_of_stretches() -> Kernel {
     let stretches: Vec<Vec<f64>> = (0..32).map(|_| (0..256).map(|_| rng.random_range(-1.0..1.0)).collect()).collect();
     Box::new(move || {
         black_box(noise::estimate(black_box(&stretches), 32));
+    })
+}
+
+/// The first shots of a capture, with noise.
+fn head() -> Vec<Vec<u8>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let mut shot = |_| -> Vec<u8> {
+        (0..SAMPLES).flat_map(|i| (pulse_and_ramp(i) + rng.random_range(-60..60)).to_le_bytes()).collect()
+    };
+    (0..HEAD_SHOTS).map(&mut shot).collect()
+}
+
+/// A test for outlying shots from the first 32, and these judged by it.
+fn outliers() -> Kernel {
+    let head = head();
+    Box::new(move || {
+        let shots: Vec<(Codes<'_>, i64)> = head.iter().map(|bytes| (Codes::I16(black_box(bytes)), 0)).collect();
+        let test = OutlierTest::new(&shots, Dark::at_start(256), 6.0).expect("they overlap");
+        black_box(shots.iter().filter(|(codes, position)| test.is_outlier(*codes, *position)).count());
+    })
+}
+
+/// How the first 32 shots differ from their mean.
+fn spread_of_shots() -> Kernel {
+    let head = head();
+    let mut sums = PhaseSums::new(SAMPLES);
+    head.iter().for_each(|bytes| sums.add(Codes::I16(bytes), 0));
+    let mean = sums.finish().expect("they overlap");
+    Box::new(move || {
+        let shots: Vec<(Codes<'_>, i64)> = head.iter().map(|bytes| (Codes::I16(black_box(bytes)), 0)).collect();
+        black_box(Spread::of(&shots, &mean, &Dark::at_start(256)));
     })
 }
 

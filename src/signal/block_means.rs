@@ -1,7 +1,5 @@
 //! Means of records over short blocks of samples: of noise, they keep what is slow.
 
-use super::widest::widest;
-
 /// Samples of a block at least: fast noise is correlated over fewer.
 const BLOCK_MIN: usize = 4;
 /// Blocks of a record at most.
@@ -34,22 +32,19 @@ impl BlockMeans {
         self.covered = self.covered.min(samples);
     }
 
-    /// Takes samples of the shot that was begun last; `first`, their number in it, is where a block begins.
+    /// Takes samples of the shot that was begun last; `first`, their number in it, is where a block begins. Belongs in
+    /// a kernel of [`widest`](super::widest::widest).
+    #[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
+    #[inline(always)]
     pub fn fill(&mut self, first: usize, samples: &[f64]) {
         let shot = self.means.len() - self.blocks;
         let means = &mut self.means[shot + first / self.block..];
         let scale = 1.0 / self.block as f64;
         if self.block == BLOCK_MIN {
             // The processor takes several blocks side by side where their size is known.
-            let blocks = samples.as_chunks::<BLOCK_MIN>().0;
-            widest(
-                #[inline(always)]
-                || {
-                    for (mean, [a, b, c, d]) in means.iter_mut().zip(blocks) {
-                        *mean = scale * (a + b + (c + d));
-                    }
-                },
-            );
+            for (mean, [a, b, c, d]) in means.iter_mut().zip(samples.as_chunks::<BLOCK_MIN>().0) {
+                *mean = scale * (a + b + (c + d));
+            }
         } else {
             let blocks = samples.chunks_exact(self.block);
             means.iter_mut().zip(blocks).for_each(|(mean, block)| *mean = scale * block.iter().sum::<f64>());

@@ -187,6 +187,40 @@ impl<'a> Codes<'a> {
         })
     }
 
+    /// Differences of the codes from `mean`, a stretch of the size of `room` at a time: with the number of its first
+    /// sample they go to `take`, which is inlined into the kernel. Their squares less the shot's `own` level are added
+    /// to `squares`.
+    ///
+    /// # Panics
+    /// When `room` is empty.
+    pub fn subtract(
+        &self,
+        mean: &[f64],
+        own: f64,
+        squares: &mut [f64],
+        room: &mut [f64],
+        mut take: impl FnMut(usize, &[f64]),
+    ) {
+        let stretch = room.len();
+        for (at, (mean, squares)) in
+            (0..self.len()).step_by(stretch).zip(mean.chunks(stretch).zip(squares.chunks_mut(stretch)))
+        {
+            let part = self.slice(at..self.len().min(at + stretch));
+            each!(part, numbers => widest(
+                #[inline(always)]
+                || {
+                    let room = &mut room[..part.len()];
+                    for (((number, mean), square), difference) in numbers.zip(mean).zip(squares).zip(&mut *room) {
+                        *difference = f64::from(number) - mean;
+                        let residual = *difference - own;
+                        *square += residual * residual;
+                    }
+                    take(at, room);
+                }
+            ));
+        }
+    }
+
     /// Adds the codes to sums, sample by sample. Exact for whole numbers while the sums stay within `i32`.
     ///
     /// # Panics

@@ -11,6 +11,7 @@ use std::ops::Range;
 
 use super::average::{Mean, PHASES};
 use super::codes::Codes;
+use super::median::upper_median;
 use super::noise;
 use super::resample;
 
@@ -26,6 +27,8 @@ const LONE_RATIO: f64 = 9.0;
 const ROUNDING: f64 = 1e-6;
 /// Lags of the noise's autocorrelation that widen the test.
 const LAGS: usize = 16;
+/// So many samples tell the autocorrelation: each lag to 0.8 %.
+const SPREAD_SAMPLES: usize = 1 << 14;
 
 /// The stretch of a capture's records that is taken as dark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,22 +75,21 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// From the [`differences`] of shots from their mean, which hold noise and no light. `variances`: of a shot at each
-    /// place of the mean, as [`super::shot_spread::Spread`] has them.
+    /// From shots of a capture and their mean: their [`differences`] hold noise and no light. `variances`: of a shot at
+    /// each place of the mean, as [`super::shot_spread::Spread`] has them.
     #[must_use]
-    pub fn of(differences: &[Vec<f64>], variances: &[f64]) -> Self {
-        let shots = differences.len();
+    pub fn of(shots: &[(Codes<'_>, i64)], mean: &Mean, variances: &[f64]) -> Self {
         let mut known: Vec<f64> = variances.iter().copied().filter(|variance| variance.is_finite()).collect();
-        if shots < 2 || known.is_empty() {
+        if shots.len() < 2 || known.is_empty() {
             return Self { variance: None, spread: 1.0 };
         }
+        let count = shots.len() as f64;
         // Light has shot noise, energy and jitter: half of the places have none.
-        let half = known.len() / 2;
-        let middle = *known.select_nth_unstable_by(half, f64::total_cmp).1;
-        let own = middle / chi_square_share(shots as f64 - 1.0, 0.0);
-        let acf = noise::estimate(differences, LAGS).acf;
+        let own = upper_median(&mut known) / chi_square_share(count - 1.0, 0.0);
+        let judges = SPREAD_SAMPLES.div_ceil(mean.mean.len()).min(shots.len());
+        let acf = noise::estimate(&differences(&shots[..judges], mean), LAGS).acf;
         let spread = 1.0 + 2.0 * acf.iter().skip(1).map(|r| r * r).sum::<f64>();
-        Self { variance: Some(own / shots as f64 + rounding_variance(own.sqrt())), spread }
+        Self { variance: Some(own / count + rounding_variance(own.sqrt())), spread }
     }
 
     /// The same for a mean of more shots.
@@ -209,9 +211,8 @@ struct Sums {
 
 impl Sums {
     fn new(mean: &[f64], clear: &[bool], samples: usize) -> Self {
-        let mut sorted = mean.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let middle = sorted[sorted.len() / 2];
+        let middle = upper_median(&mut mean.to_vec());
+        let (low, high) = mean.iter().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
         let running = |value: &dyn Fn(usize) -> f64| {
             let mut sum = 0.0;
             let mut sums = vec![0.0];
@@ -232,8 +233,8 @@ impl Sums {
             squares: running(&|n| (mean[n] - middle).powi(2)),
             unclear,
             middle,
-            low: sorted[0] - middle,
-            high: sorted[sorted.len() - 1] - middle,
+            low: low - middle,
+            high: high - middle,
         }
     }
 

@@ -75,6 +75,7 @@ pub mod banded;
 pub mod between;
 pub mod block_means;
 pub mod codes;
+mod column_medians;
 pub mod dark;
 pub mod drift;
 pub mod echo;

@@ -301,21 +301,26 @@ impl Equations {
     /// The best of all least-squares fits on a part of the terms whose values are not negative: the optimum of the
     /// bounded problem is among them.
     fn solve(&self, rows: usize) -> Option<NoiseModel> {
-        let mut best: Option<(f64, usize, NoiseModel)> = None;
+        let mut best: Option<(f64, NoiseModel)> = None;
+        let mut solved: Vec<usize> = Vec::with_capacity(1 << TERMS);
         for set in (1..1_usize << TERMS).rev() {
+            // No part of the terms is better than all of them.
+            if solved.iter().any(|of_more| of_more & set == set) {
+                continue;
+            }
             let Some((values, covariance)) = self.solve_of(set) else { continue };
+            if !values.iter().all(|value| *value >= 0.0) {
+                continue;
+            }
+            solved.push(set);
             let explained: f64 = values.iter().zip(&self.right).map(|(value, right)| value * right).sum();
             let chi2 = (self.square - explained).max(0.0);
-            if values.iter().all(|value| *value >= 0.0) && best.as_ref().is_none_or(|(best, ..)| chi2 < *best) {
+            if best.as_ref().is_none_or(|(best, _)| chi2 < *best) {
                 let dof = rows - set.count_ones() as usize;
-                best = Some((chi2, set, NoiseModel { values, covariance, chi2_per_dof: chi2 / dof.max(1) as f64 }));
-            }
-            // Nothing is better than all terms.
-            if best.as_ref().is_some_and(|(_, set, _)| *set == (1 << TERMS) - 1) {
-                break;
+                best = Some((chi2, NoiseModel { values, covariance, chi2_per_dof: chi2 / dof.max(1) as f64 }));
             }
         }
-        best.map(|(.., model)| model)
+        best.map(|(_, model)| model)
     }
 
     /// Values and covariance of the terms in `set`, the others 0; `None` where the samples do not determine each of

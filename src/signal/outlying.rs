@@ -2,6 +2,7 @@
 
 use super::average::PHASES;
 use super::codes::Codes;
+use super::column_medians::ColumnMedians;
 use super::dark::Dark;
 use super::median::upper_median;
 use super::shot_spread::step;
@@ -39,29 +40,17 @@ impl OutlierTest {
         if shots.len() < JUDGES_MIN {
             return None;
         }
+        // Where most shots begin and end: single shots far off do not shrink the test.
+        let first =
+            upper_median(&mut shots.iter().map(|(_, position)| nearest(*position) as f64).collect::<Vec<_>>()) as i64;
+        let count = shots[0].0.len();
         let shifted: Vec<(i64, Vec<f64>)> = shots
             .iter()
-            .map(|(codes, position)| (nearest(*position), without_baseline(*codes, *position, &dark)))
+            .map(|(codes, position)| (first - nearest(*position), without_baseline(*codes, *position, &dark)))
             .collect();
-        // Where most shots begin and end: single shots far off do not shrink the test.
-        let first = upper_median(&mut shifted.iter().map(|(whole, _)| *whole as f64).collect::<Vec<_>>()) as i64;
-        let count = shots[0].0.len();
-        let mut median = vec![0.0; count];
-        let mut deviations = Vec::with_capacity(count);
-        let mut column = Vec::with_capacity(shots.len());
-        for (n, median) in median.iter_mut().enumerate() {
-            column.clear();
-            column.extend(
-                shifted
-                    .iter()
-                    .filter_map(|(whole, values)| values.get(usize::try_from(first + n as i64 - whole).ok()?)),
-            );
-            if column.len() < JUDGES_MIN {
-                return None;
-            }
-            *median = upper_median(&mut column);
-            column.iter_mut().for_each(|value| *value = (*value - *median).abs());
-            deviations.push(upper_median(&mut column));
+        let ColumnMedians { medians: median, deviations, fewest } = ColumnMedians::of(&shifted, count);
+        if fewest < JUDGES_MIN {
+            return None;
         }
         // A median deviation of 0 says only that half of the normal noise lies within half a step.
         let scale = (1.4826 * upper_median(&mut deviations.clone())).max(QUIET_SD * step(shots));
@@ -111,7 +100,8 @@ fn nearest(position: i64) -> i64 {
 }
 
 fn without_baseline(codes: Codes<'_>, position: i64, dark: &Dark) -> Vec<f64> {
-    let mut values = codes.to_f64();
+    let mut values = Vec::new();
+    codes.read_into(&mut values);
     let of_shot = &values[dark.range(values.len(), position)];
     let own = of_shot.iter().sum::<f64>() / of_shot.len() as f64;
     values.iter_mut().for_each(|value| *value -= own);

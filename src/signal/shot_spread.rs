@@ -7,12 +7,11 @@ use super::dark::Dark;
 use super::median::upper_median;
 use super::resample;
 use super::sums::sum;
-use super::widest::widest;
 
 /// The first shots of a capture, from which outliers are judged and the spread is taken.
 pub const HEAD_SHOTS: usize = 32;
 /// Blocks whose samples are compared at once, so that what is between stays in the nearest cache.
-const STRETCH_BLOCKS: usize = 64;
+const STRETCH_BLOCKS: usize = 32;
 /// How shots of one capture differ from their mean: what one pass over each shows.
 #[derive(Clone, Debug)]
 pub struct Spread {
@@ -32,24 +31,22 @@ impl Spread {
     pub fn of(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Self {
         let count = mean.mean.len();
         let (mut variances, mut differences) = (vec![0.0; count], BlockMeans::new(count, shots.len()));
-        // Where the number of shots that cover a place changes, and by how much.
-        let mut changes = vec![0_i32; count + 1];
-        let (mut values, mut room) = (Vec::new(), vec![0.0; STRETCH_BLOCKS * differences.block()]);
+        // Where shots begin and end.
+        let mut ends: Vec<(usize, i32)> = Vec::with_capacity(2 * shots.len() + 1);
+        let mut room = vec![0.0; STRETCH_BLOCKS * differences.block()];
         compare(shots, mean, dark, |Compared { at, own, codes, moved, from }| {
             differences.begin(codes.len());
-            for start in (0..codes.len()).step_by(room.len()) {
-                codes.slice(start..codes.len().min(start + room.len())).read_into(&mut values);
-                let difference = &mut room[..values.len()];
-                subtract(&values, own, &moved[from + start..], difference, &mut variances[at + start..]);
-                differences.fill(start, difference);
-            }
-            changes[at] += 1;
-            changes[at + codes.len()] -= 1;
+            let squares = &mut variances[at..];
+            codes.subtract(&moved[from..], own, squares, &mut room, |first, stretch| differences.fill(first, stretch));
+            ends.extend([(at, 1), (at + codes.len(), -1)]);
         });
-        let mut covering = 0;
-        for (variance, change) in variances.iter_mut().zip(&changes) {
-            covering += change;
-            *variance = if covering >= 2 { *variance / f64::from(covering - 1) } else { f64::NAN };
+        ends.sort_unstable();
+        ends.push((count, 0));
+        let (mut covering, mut from) = (0, 0);
+        for (at, change) in ends {
+            let freedom = if covering >= 2 { f64::from(covering - 1) } else { f64::NAN };
+            variances[from..at].iter_mut().for_each(|variance| *variance /= freedom);
+            (covering, from) = (covering + change, at);
         }
         Self { variances, differences }
     }
@@ -63,21 +60,6 @@ impl Spread {
         }
         upper_median(&mut known)
     }
-}
-
-/// Differences of a shot from its mean, and their squares without the shot's `own` baseline added to those of others.
-fn subtract(values: &[f64], own: f64, mean: &[f64], differences: &mut [f64], squares: &mut [f64]) {
-    widest(
-        #[inline(always)]
-        || {
-            let out = differences.iter_mut().zip(squares);
-            for ((value, mean), (difference, square)) in values.iter().zip(mean).zip(out) {
-                *difference = value - mean;
-                let residual = *difference - own;
-                *square += residual * residual;
-            }
-        },
-    );
 }
 
 /// What is each shot's own: its difference from the mean without what its phase makes of it.

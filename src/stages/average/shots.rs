@@ -254,7 +254,7 @@ impl Shots {
     fn seek_dark(&mut self, judged: &Judged<'_>) -> bool {
         let Judged { passed, mean, spread } = judged;
         let samples = self.dark.samples.min(mean.mean.len());
-        let scale = Scale::of(&dark::differences(passed, mean), &spread.variances);
+        let scale = Scale::of(passed, mean, &spread.variances);
         self.scale = Some((passed.len(), scale));
         let clear = self.clipping.clear_of(mean.first_position, mean.mean.len());
         let place = match dark::find(&mean.mean, &clear, samples, &scale) {
