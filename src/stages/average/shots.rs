@@ -163,38 +163,37 @@ impl Shots {
         }
     }
 
-    /// Adds a shot, unless it is outlying.
-    fn add(&mut self, shot: &Shot) {
+    /// Adds a shot, unless it is outlying; returns whether it is not.
+    fn add(&mut self, shot: &Shot) -> bool {
         let codes = view(&self.first.code_type, &shot.codes);
         if self.test.as_ref().is_some_and(|test| test.is_outlier(codes, shot.position)) {
             let is_clipped = i32::from(shot.clipped > 0);
             self.rejected.clipped += is_clipped;
             self.rejected.outlying += 1 - is_clipped;
             self.rejected.at_rails += is_clipped;
-        } else if shot.clipped > 0 {
+            return false;
+        }
+        if shot.clipped > 0 {
             self.clipping.mark(codes, shot.position, shot.clipped);
             self.cut.add(codes, shot);
         } else {
             self.whole.add(codes, shot);
         }
+        true
     }
 
     /// Judges the first shots by one another, adds those that pass, and takes the noise from them: from whole ones,
     /// unless most are clipped.
     fn close_head(&mut self, average: &Average) {
         let head = std::mem::take(&mut self.head);
-        let code_type = self.first.code_type.clone();
         let clipping = 2 * head.iter().filter(|shot| shot.clipped > 0).count() > head.len();
-        let judges = head.iter().filter(|shot| clipping || shot.clipped == 0);
-        let views: Vec<(Samples<'_>, i64)> =
-            judges.map(|shot| (view(&code_type, &shot.codes), shot.position)).collect();
         let before = self.rejected;
-        let Some(mut judged) = self.judge(average, &head, &views, clipping) else { return };
+        let Some(mut judged) = self.judge(average, &head, clipping) else { return };
         if self.darkness == Darkness::Sought && self.seek_dark(&judged) {
             // By light in their baselines shots were judged wrongly.
             (self.rejected, self.whole, self.cut) = (before, self.tally(), self.tally());
             self.clipping.forget();
-            match self.judge(average, &head, &views, clipping) {
+            match self.judge(average, &head, clipping) {
                 Some(again) => judged = again,
                 None => return,
             }
@@ -221,21 +220,16 @@ impl Shots {
     }
 
     /// Adds the shots of the head that are not outlying.
-    fn judge<'a>(
-        &mut self,
-        average: &Average,
-        head: &[Shot],
-        views: &[(Samples<'a>, i64)],
-        clipping: bool,
-    ) -> Option<Judged<'a>> {
+    fn judge<'a>(&mut self, average: &Average, head: &'a [Shot], clipping: bool) -> Option<Judged<'a>> {
+        let code_type = self.first.code_type.clone();
+        let is_judge = |shot: &&Shot| clipping || shot.clipped == 0;
+        let of_shot = |shot: &'a Shot| (view(&code_type, &shot.codes), shot.position);
         if average.reject_outliers {
-            self.test = OutlierTest::new(views, self.baseline(), average.outlier_sigma.get());
+            let judges: Vec<(Samples<'_>, i64)> = head.iter().filter(is_judge).map(of_shot).collect();
+            self.test = OutlierTest::new(&judges, self.baseline(), average.outlier_sigma.get());
         }
-        let is_good = |(codes, position): &&(Samples<'_>, i64)| {
-            !self.test.as_ref().is_some_and(|test| test.is_outlier(*codes, *position))
-        };
-        let passed: Vec<(Samples<'_>, i64)> = views.iter().filter(is_good).copied().collect();
-        head.iter().for_each(|shot| self.add(shot));
+        let good: Vec<&Shot> = head.iter().filter(|shot| self.add(shot)).collect();
+        let passed: Vec<(Samples<'_>, i64)> = good.into_iter().filter(is_judge).map(of_shot).collect();
         // Those that passed, and no others, have been added up.
         let mean = if clipping {
             let mut sums = self.whole.sums.clone();
