@@ -33,7 +33,7 @@ impl BlockMeans {
     }
 
     /// Takes samples of the shot that was begun last; `first`, their number in it, is where a block begins. Belongs in
-    /// a kernel of [`widest`](super::widest::widest).
+    /// a kernel on wide vectors.
     #[allow(clippy::inline_always, reason = "else it stays on narrow vectors")]
     #[inline(always)]
     pub fn fill(&mut self, first: usize, samples: &[f64]) {

@@ -401,15 +401,13 @@ fn text_at(column: Option<&StringArray>, i: usize) -> &str {
 /// Runs of rows that belong together, in order.
 fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
     let columns = KeyColumns::of(batch);
-    let mut groups = Vec::new();
-    let mut start = 0;
-    for i in 1..=batch.num_rows() {
-        if i == batch.num_rows() || columns.key(grain, start) != columns.key(grain, i) {
-            let (campaign, sensor, lit, seen, role, run) = columns.key(grain, start);
-            let key = (campaign.to_owned(), sensor.to_owned(), lit, seen, role.to_owned(), run.to_owned());
-            groups.push((key, start..i));
-            start = i;
-        }
+    let (mut groups, mut start, rows) = (Vec::new(), 0, batch.num_rows());
+    while start < rows {
+        let first = columns.key(grain, start);
+        let end = (start + 1..rows).find(|i| columns.key(grain, *i) != first).unwrap_or(rows);
+        let (campaign, sensor, lit, seen, role, run) = first;
+        groups.push(((campaign.to_owned(), sensor.to_owned(), lit, seen, role.to_owned(), run.to_owned()), start..end));
+        start = end;
     }
     groups
 }

@@ -10,7 +10,7 @@ use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type};
 use arrow_array::{
     Array, ArrayRef, BinaryViewArray, BooleanArray, Float32Array, Float64Array, Int32Array, Int64Array, ListArray,
-    StringArray, new_null_array,
+    StringArray,
 };
 use arrow_buffer::{Buffer, OffsetBuffer, ScalarBuffer};
 use arrow_schema::{DataType, Field};
@@ -58,7 +58,7 @@ macro_rules! primitive_cell {
                 Arc::new(cells.copied().collect::<$array>())
             }
             fn repeat(&self, rows: usize) -> ArrayRef {
-                self.map_or_else(|| new_null_array(&Self::data_type(), rows), |value| value.repeat(rows))
+                self.map_or_else(|| Arc::new(<$array>::new_null(rows)) as ArrayRef, |value| value.repeat(rows))
             }
             fn get(array: &Self::Array, i: usize) -> Self { array.is_valid(i).then(|| array.value(i)) }
         }
@@ -99,7 +99,7 @@ impl Cell for Option<Name> {
         Arc::new(cells.map(|cell| cell.as_deref()).collect::<StringArray>())
     }
     fn repeat(&self, rows: usize) -> ArrayRef {
-        self.as_ref().map_or_else(|| new_null_array(&Self::data_type(), rows), |text| text.repeat(rows))
+        self.as_ref().map_or_else(|| Arc::new(StringArray::new_null(rows)) as ArrayRef, |text| text.repeat(rows))
     }
     fn get(array: &Self::Array, i: usize) -> Self {
         array.is_valid(i).then(|| array.value(i).into())
