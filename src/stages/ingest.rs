@@ -15,6 +15,7 @@ mod blocks;
 pub mod captures;
 mod content;
 mod files;
+mod long;
 mod part;
 mod piece;
 pub mod pulses;

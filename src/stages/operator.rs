@@ -119,6 +119,8 @@ pub trait Reducer: Send + Sync {
     /// # Errors
     /// When the table as a whole cannot be made.
     fn reduce(&self, batch: &RecordBatch) -> Result<Outcomes, StageError>;
+    /// Takes the rows of one group as they come.
+    fn one(&self) -> Box<dyn OneGroup + '_>;
     /// The rows of what it made, in this order.
     ///
     /// # Errors
@@ -127,6 +129,20 @@ pub trait Reducer: Send + Sync {
     /// # Panics
     /// When another stage made it.
     fn rows(&self, outcomes: Vec<Outcomes>) -> Result<OutputBatches, StageError>;
+}
+
+/// A group under way.
+pub trait OneGroup {
+    /// Takes the rows that come next.
+    ///
+    /// # Errors
+    /// When the table as a whole cannot be made.
+    fn take(&mut self, batch: &RecordBatch) -> Result<(), StageError>;
+    /// Ends it; nothing comes of a group without rows.
+    ///
+    /// # Errors
+    /// When the table as a whole cannot be made.
+    fn finish(self: Box<Self>) -> Result<Outcomes, StageError>;
 }
 
 /// A stage at work.
@@ -231,9 +247,34 @@ impl<S: Fold> Reducer for Ready<'_, S> {
         Ok(Box::new(outcomes))
     }
 
+    fn one(&self) -> Box<dyn OneGroup + '_> {
+        Box::new(One { ready: self, state: None })
+    }
+
     fn rows(&self, outcomes: Vec<Outcomes>) -> Result<OutputBatches, StageError> {
         let own = |outcomes: Outcomes| *outcomes.downcast::<Vec<Outcome<S::Output>>>().expect("made by this stage");
         batches::<S>(outcomes.into_iter().flat_map(own).collect())
+    }
+}
+
+/// A group of a stage, from its first row on.
+struct One<'r, 'a, S: Fold> {
+    ready: &'r Ready<'a, S>,
+    state: Option<S::State>,
+}
+
+impl<S: Fold> OneGroup for One<'_, '_, S> {
+    fn take(&mut self, batch: &RecordBatch) -> Result<(), StageError> {
+        let Ready { stage, context, cancel } = self.ready;
+        cancel.check();
+        let columns = S::Input::columns(batch)?;
+        let state = self.state.get_or_insert_with(|| stage.begin(context, S::Input::read(&columns, 0)));
+        stage.step(context, state, &columns, 0..batch.num_rows())
+    }
+
+    fn finish(self: Box<Self>) -> Result<Outcomes, StageError> {
+        let outcomes = self.state.map(|state| self.ready.finish(state)).into_iter().collect::<Result<Vec<_>, _>>()?;
+        Ok(Box::new(outcomes))
     }
 }
 

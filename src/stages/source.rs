@@ -68,11 +68,21 @@ pub struct Reduced(pub Box<dyn Any + Send>);
 pub trait InPlace: Sync {
     /// Takes all rows of some captures. Calls may run side by side.
     fn reduce(&self, batch: &RecordBatch) -> Reduced;
+    /// Takes the rows of one capture as they come.
+    fn one(&self) -> Box<dyn CaptureInPlace + '_>;
     /// Hands on what was made of the captures that come next, in their order.
     ///
     /// # Errors
     /// When the run is being stopped.
     fn send(&self, reduced: Vec<Reduced>) -> Result<(), StageError>;
+}
+
+/// A capture under way in the stages below a source.
+pub trait CaptureInPlace {
+    /// Takes the rows that come next.
+    fn take(&mut self, batch: &RecordBatch);
+    /// There are no more.
+    fn finish(self: Box<Self>) -> Reduced;
 }
 
 /// A part as a source knows it before reading.

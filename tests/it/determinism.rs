@@ -1,7 +1,9 @@
 //! Law 6: the same bytes for any thread count, batch size, channel size and memory budget.
 
+use std::fs;
+
 use periscope::pipeline::run::Settings;
-use periscope::tables::Profile;
+use periscope::tables::{Profile, Reject};
 
 use crate::lab::{ALL_VISIBLE, Lab, with_threads};
 
@@ -51,4 +53,27 @@ fn stages_below_a_source_do_not_depend_on_one_another() {
     let profiles = |out: &str, view: &str| lab.rows::<Profile>(out, view);
     assert_eq!(profiles("archived", "profiles"), profiles("both", "profiles"));
     assert_eq!(profiles("archived", "odd"), profiles("both", "odd"));
+}
+
+/// A file that ends within a shot, and one that ends within its head: whatever is read at a time, the same shots count
+/// and the same is said.
+#[test]
+fn files_that_end_early_are_the_same_in_pieces() {
+    let lab = Lab::bulk(6);
+    let files: Vec<_> = fs::read_dir(lab.campaign().join("raw")).unwrap().map(|file| file.unwrap().path()).collect();
+    let sizes = [fs::metadata(&files[0]).unwrap().len() * 2 / 3 + 5, 60];
+    for (file, size) in files.iter().zip(sizes) {
+        fs::OpenOptions::new().write(true).open(file).unwrap().set_len(size).unwrap();
+    }
+    let pipeline = "[traces]\nstage = 'ingest'\n[profiles]\nstage = 'average'\nfrom = 'traces'\n";
+    let run = |name: &str, batch_bytes: usize| {
+        lab.run(name, pipeline, &Settings { batch_bytes, ..Settings::default() }).unwrap();
+        let rejects = lab.rows::<Reject>(name, "rejects");
+        assert!(rejects.len() >= 2, "{rejects:?}");
+        (lab.parts(name), rejects)
+    };
+    let usual = run("usual", Settings::default().batch_bytes);
+    for batch_bytes in [1, 3_333, 100_000] {
+        assert_eq!(run(&format!("pieces-of-{batch_bytes}"), batch_bytes), usual, "{batch_bytes}");
+    }
 }

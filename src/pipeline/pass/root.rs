@@ -6,8 +6,8 @@ use arrow_array::RecordBatch;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::{Failure, Made, Message, Pass, Shared, send};
-use crate::stages::operator::Reducer;
-use crate::stages::source::{Credit, Feed, InPlace, PartRead, Reduced};
+use crate::stages::operator::{OneGroup, Reducer};
+use crate::stages::source::{CaptureInPlace, Credit, Feed, InPlace, PartRead, Reduced};
 use crate::stages::stage::StageError;
 
 /// The thread of the root: reads a source, or replays a table.
@@ -98,6 +98,10 @@ impl<'a> InPlace for InThreads<'a> {
         Reduced(Box::new(self.reducers.iter().map(reduce).collect::<Vec<Made>>()))
     }
 
+    fn one(&self) -> Box<dyn CaptureInPlace + '_> {
+        Box::new(OneInThread { of: self, groups: self.reducers.iter().map(|(_, reducer)| Ok(reducer.one())).collect() })
+    }
+
     fn send(&self, reduced: Vec<Reduced>) -> Result<(), StageError> {
         let mut outcomes: Vec<Vec<Made>> = self.reducers.iter().map(|_| Vec::new()).collect();
         for Reduced(made) in reduced {
@@ -106,6 +110,34 @@ impl<'a> InPlace for InThreads<'a> {
         }
         let send = || self.children[0].send(Message::Reduced(outcomes));
         self.shared.span_of_reader("hand on", send).map_err(|_| StageError::Stopped)
+    }
+}
+
+/// One capture in each step right below a source; a step that failed takes no more.
+struct OneInThread<'a> {
+    of: &'a InThreads<'a>,
+    groups: Vec<Result<Box<dyn OneGroup + 'a>, Failure>>,
+}
+
+impl CaptureInPlace for OneInThread<'_> {
+    fn take(&mut self, batch: &RecordBatch) {
+        let shared = self.of.shared;
+        for ((step, _), group) in self.of.reducers.iter().zip(&mut self.groups) {
+            if let Ok(taking) = group {
+                let taken = shared.caught(*step, || taking.take(batch).map_err(|error| shared.failed(*step, error)));
+                if let Err(failure) = taken {
+                    *group = Err(failure);
+                }
+            }
+        }
+    }
+
+    fn finish(self: Box<Self>) -> Reduced {
+        let shared = self.of.shared;
+        let finish = |((step, _), group): (&(usize, _), Result<Box<dyn OneGroup + '_>, Failure>)| {
+            group.and_then(|group| shared.caught(*step, || group.finish().map_err(|error| shared.failed(*step, error))))
+        };
+        Reduced(Box::new(self.of.reducers.iter().zip(self.groups).map(finish).collect::<Vec<Made>>()))
     }
 }
 

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::content::{self, FileDigests};
 use super::files::Files;
+use super::long::Long;
 use super::raw_file::{Bad, Hashed, HashedStretch, Reading};
 use super::runs::Runs;
 use super::survey::{Capture, Item, Job, Surveyed, chain};
@@ -26,6 +27,10 @@ const ITEMS_SENT: usize = 64;
 /// Batches that are read together where captures are reduced in place: what is made of them is small, and threads wait
 /// for one another less often.
 const IN_PLACE_BATCHES: usize = 4;
+/// Of larger files one thread reads and the next one averages; those up to this size are averaged where they are read.
+const LONG_BYTES: u64 = 64 << 20;
+/// Pieces of these at most: one is read, hashed and added up while it is in the second cache.
+const PIECE_BYTES: usize = 1 << 20;
 /// Rows of an index that are stored together.
 pub const INDEX_ROWS: usize = 1 << 13;
 
@@ -35,10 +40,10 @@ pub struct Done {
     pub rows: Records,
     /// Exposures.
     pub shots: i32,
-    digests: Vec<Hashed>,
-    rejection: Option<Result<Rejection, StageError>>,
+    pub digests: Vec<Hashed>,
+    pub rejection: Option<Result<Rejection, StageError>>,
     /// What is to be said about the files, though their records are used.
-    remarks: Vec<Rejection>,
+    pub remarks: Vec<Rejection>,
 }
 
 /// Reads a part, in batches of about `batch_bytes`.
@@ -69,6 +74,30 @@ pub struct Share<'a> {
     pub item: &'a Item,
     /// Where not all: which exposures, and which bytes of its files are hashed.
     pub of_file: Option<(Range<usize>, &'a BTreeMap<PathBuf, Range<u64>>)>,
+}
+
+/// Items that are read side by side.
+#[derive(Default)]
+struct Together<'a> {
+    items: Vec<(usize, &'a Item)>,
+    /// Bytes that they hold at a time.
+    held: usize,
+    /// Whether each is a file larger than a batch, which is read in pieces.
+    is_long: bool,
+}
+
+impl Together<'_> {
+    fn has_a_file_of(&self, item: &Item) -> bool {
+        self.items
+            .iter()
+            .any(|(_, other)| item.exposure.files().any(|file| other.exposure.files().any(|of| of == file)))
+    }
+}
+
+/// Whether a file larger than a batch is a capture by itself that is reduced piece by piece: next to others, which one
+/// of a very large file has no time to wait for.
+fn is_long(capture: &Capture, item: &Item) -> bool {
+    capture.items.len() == 1 && !item.is_share() && item.bytes <= LONG_BYTES
 }
 
 /// Reads items in batches.
@@ -108,43 +137,56 @@ impl Reader<'_> {
         captures: &[Capture],
         shares: impl Iterator<Item = Share<'i>>,
     ) -> Result<(), StageError> {
-        let batches = if self.feed.in_place().is_some() { IN_PLACE_BATCHES } else { 1 };
-        let mut group: Vec<(usize, &Item)> = Vec::new();
-        let mut bytes = 0;
+        let in_place = self.feed.in_place().is_some();
+        let batches = if in_place { IN_PLACE_BATCHES } else { 1 };
+        let mut group = Together::default();
         for share in shares {
             let item = share.item;
-            let large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
-            if large || bytes + item.bytes as usize > batches * self.batch_bytes {
-                self.small(captures, &std::mem::take(&mut group), bytes)?;
-                bytes = 0;
+            let is_large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
+            let is_long = is_large && in_place && share.of_file.is_none() && is_long(&captures[share.index], item);
+            let held = if is_long { self.piece_bytes() } else { (item.bytes as usize).min(self.batch_bytes) };
+            let is_apart = is_large != group.is_long || (is_long && group.has_a_file_of(item));
+            if is_apart || group.held + held > batches * self.batch_bytes {
+                self.side_by_side(captures, &std::mem::take(&mut group))?;
             }
-            if large {
+            if is_large && !is_long {
                 self.large(captures, &share)?;
             } else {
-                group.push((share.index, item));
-                bytes += item.bytes as usize;
+                group.is_long = is_long;
+                group.items.push((share.index, item));
+                group.held += held;
             }
         }
-        self.small(captures, &group, bytes)
+        self.side_by_side(captures, &group)
     }
 
-    /// Items that fit in one batch together: read side by side.
-    fn small(&mut self, captures: &[Capture], group: &[(usize, &Item)], bytes: usize) -> Result<(), StageError> {
-        if group.is_empty() {
+    fn piece_bytes(&self) -> usize {
+        PIECE_BYTES.min(self.batch_bytes)
+    }
+
+    /// Items that fit in one batch together, or are read in pieces that do: side by side.
+    fn side_by_side(&mut self, captures: &[Capture], group: &Together<'_>) -> Result<(), StageError> {
+        let Together { items, held, is_long } = group;
+        if items.is_empty() {
             return Ok(());
         }
-        let credit = self.feed.reserve(bytes)?;
-        let units = units::of(captures, group);
+        let credit = self.feed.reserve(*held)?;
+        let units = units::of(captures, items);
         let (surveyed, in_place, keeps, shots) = (self.surveyed, self.feed.in_place(), self.feed.stores(), &self.shots);
         let so_far = |capture: usize| shots.get(&capture).copied().unwrap_or(0);
-        let read: Vec<Read> = units.par_iter().map(|unit| unit.read(surveyed, in_place, keeps, so_far)).collect();
+        let of_piece = [self.piece_bytes(), self.feed.most()];
+        let read = |unit: &Unit<'_>| match in_place.filter(|_| *is_long) {
+            Some(in_place) => unit.read_long(surveyed, in_place, keeps, of_piece),
+            None => unit.read(surveyed, in_place, keeps, so_far),
+        };
+        let read: Vec<Read> = units.par_iter().map(read).collect();
         let mut read = units.iter().zip(read).peekable();
         while let Some((_, Read { reduced: next, .. })) = read.peek() {
             let is_reduced = next.is_some();
             let run = from_fn(|| read.next_if(|(_, Read { reduced, .. })| reduced.is_some() == is_reduced)).collect();
             if is_reduced { self.hand_on(run)? } else { self.send_rows(run, &credit)? }
         }
-        self.feed.read_bytes(bytes as u64);
+        self.feed.read_bytes(items.iter().map(|(_, item)| item.bytes).sum());
         Ok(())
     }
 
@@ -159,7 +201,7 @@ impl Reader<'_> {
             all.extend(reduced);
         }
         in_place.send(all)?;
-        if rows.is_empty() { Ok(()) } else { self.store(campaign, &rows, &rows.to_batch()) }
+        self.store_runs(campaign, &rows)
     }
 
     /// Sends rows on as they are.
@@ -186,69 +228,36 @@ impl Reader<'_> {
         let Share { index: number, item, of_file } = share;
         let (number, capture) = (*number, &captures[*number]);
         let job = Job { capture, item, first_shot: self.shots.get(&number).copied().unwrap_or(0) };
-        let is_hashed = item.is_share() && was_read(self.surveyed, &job);
         let reading = match of_file {
             Some((_, hashed)) => Reading::Stretch(hashed),
-            None if is_hashed => Reading::Unhashed,
+            None if item.is_share() && was_read(self.surveyed, &job) => Reading::Unhashed,
             None => Reading::Long,
         };
-        let mut files = match Files::open(self.surveyed, &job, reading) {
-            Ok(files) => files,
-            Err(error) => {
-                let digests = digests_of_bad(self.surveyed, &job);
-                let rejection = Some(error.rejection(self.surveyed, &job));
-                self.take(number, &job, Done { digests, rejection, ..Done::default() })?;
-                return Ok(());
-            }
-        };
-        let most = self.feed.most();
-        if files.exposure_bytes(&job) > most {
-            return Err(StageError::Refused(format!(
-                "{}: one exposure takes {} bytes, the memory of the run is {most}; give more --memory, or the part that counts by samples = [first, last] in its [[captures]] rule",
-                self.surveyed.campaigns[capture.campaign].path_of(&item.exposure.file).display(),
-                files.exposure_bytes(&job)
-            )));
-        }
-        let count = files.exposures();
-        let exposures = of_file.as_ref().map_or(0..count, |(shots, _)| shots.start..shots.end.min(count));
-        let per_batch = (self.batch_bytes / files.exposure_bytes(&job).max(1)).max(1);
-        let mut outcome = Done { shots: exposures.len() as i32, ..Done::default() };
-        // Rows of an index wait for the digest of their file.
-        let mut index = Records::default();
-        if exposures.start == 0 {
-            outcome.remarks = remarks(self.surveyed, &job, &files)?;
-        }
-        for start in exposures.clone().step_by(per_batch) {
-            let range = start..exposures.end.min(start + per_batch);
-            let bytes = files.exposure_bytes(&job) * range.len();
-            let credit = self.feed.reserve(bytes)?;
-            match files.rows(self.surveyed, &job, range) {
-                Ok(rows) => {
+        let exposures = of_file.as_ref().map(|(shots, _)| shots.clone());
+        let done = match Long::open(self.surveyed, &job, reading, exposures, [self.batch_bytes, self.feed.most()]) {
+            Err(done) => *done,
+            Ok(mut long) => {
+                while let Some(bytes) = long.piece_bytes(&job) {
+                    let credit = self.feed.reserve(bytes)?;
+                    let Some(rows) = long.next(self.surveyed, &job) else { break };
                     self.send(&rows, credit)?;
                     if self.feed.stores() {
-                        index.append(rows.without_codes());
+                        long.keep(rows);
                     }
+                    self.feed.read_bytes(bytes as u64);
                 }
-                Err(error) => {
-                    outcome.rejection = Some(error.rejection(self.surveyed, &job));
-                    break;
-                }
+                let (done, stretches) = long.close(self.surveyed, &job);
+                self.stretches.extend(stretches);
+                done
             }
-            self.feed.read_bytes(bytes as u64);
-        }
-        if of_file.is_some() {
-            match files.stretches() {
-                Ok(stretches) => self.stretches.extend(stretches),
-                Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
-            }
-        } else if !is_hashed {
-            match files.digests() {
-                Ok(digests) => outcome.digests = digests,
-                Err(error) => outcome.rejection = outcome.rejection.or(Some(error.rejection(self.surveyed, &job))),
-            }
-        }
-        self.take(number, &job, outcome)?;
-        index.runs(INDEX_ROWS).try_for_each(|rows| self.store(capture.campaign, &rows, &rows.to_batch()))
+        };
+        let rows = self.take(number, &job, done)?;
+        self.store_runs(capture.campaign, &rows)
+    }
+
+    /// Stores rows of an index that hold no codes.
+    fn store_runs(&self, campaign: usize, rows: &Records) -> Result<(), StageError> {
+        rows.runs(INDEX_ROWS).try_for_each(|rows| self.store(campaign, &rows, &rows.to_batch()))
     }
 
     /// Sends rows on, and notes what only their codes say.
@@ -388,7 +397,7 @@ fn read_item(surveyed: &Surveyed<'_>, files: &mut Files, job: &Job<'_>) -> Done 
 }
 
 /// What is to be said about the files of an item whose records are used.
-fn remarks(surveyed: &Surveyed<'_>, job: &Job<'_>, files: &Files) -> Result<Vec<Rejection>, StageError> {
+pub fn remarks(surveyed: &Surveyed<'_>, job: &Job<'_>, files: &Files) -> Result<Vec<Rejection>, StageError> {
     files.remarks().into_iter().map(|remark| remark.rejection(surveyed, job)).collect()
 }
 

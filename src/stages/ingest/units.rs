@@ -6,7 +6,9 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
+use super::long::Long;
 use super::part::{Done, read_items};
+use super::raw_file::Reading;
 use super::survey::{Capture, Item, Job, Surveyed};
 use crate::campaign::Exposure;
 use crate::formats::Description;
@@ -91,6 +93,26 @@ impl<'a> Unit<'a> {
             done[0].rows = rows.without_codes();
         }
         Read { done, reduced }
+    }
+
+    /// Reads the one item of a capture in pieces, and reduces it piece by piece; `bytes` are those of a piece, and the
+    /// most that an exposure may have.
+    pub fn read_long(&self, surveyed: &Surveyed<'_>, in_place: &dyn InPlace, keeps: bool, bytes: [usize; 2]) -> Read {
+        let (_, job) = &self.jobs[0];
+        let mut capture = in_place.one();
+        let done = match Long::open(surveyed, job, Reading::Long, None, bytes) {
+            Err(done) => *done,
+            Ok(mut long) => {
+                while let Some(rows) = long.next(surveyed, job) {
+                    capture.take(&rows.to_batch());
+                    if keeps {
+                        long.keep(rows);
+                    }
+                }
+                long.close(surveyed, job).0
+            }
+        };
+        Read { done: vec![done], reduced: Some(capture.finish()) }
     }
 
     /// Reads the items file by file.
