@@ -55,6 +55,46 @@ fn stages_below_a_source_do_not_depend_on_one_another() {
     assert_eq!(profiles("archived", "odd"), profiles("both", "odd"));
 }
 
+/// Captures of one small file, of one that is read in pieces, and of two, in turn: their rows come in the order of
+/// captures, and are those of an archive.
+#[test]
+fn captures_of_all_sizes_come_in_their_order() {
+    let lab = Lab::bulk(4);
+    fs::create_dir(lab.campaign().join("raw/other")).unwrap();
+    let campaign = lab.campaign().join("campaign.toml");
+    let rules = fs::read_to_string(&campaign).unwrap();
+    let rule = &rules[rules.find("[[captures]]").unwrap()..];
+    let numbered = rule.replace("raw/L{lit}_P{seen}.npy", "raw/other/L{lit}_P{seen}_S{shot}.npy");
+    fs::write(&campaign, format!("{rules}{numbered}")).unwrap();
+    let write = |name: &str, [shots, samples]: [usize; 2]| {
+        let mut codes = vec![0_i16; shots * samples];
+        (0..shots).for_each(|shot| codes[shot * samples + samples / 2] = 1000);
+        let mut file = fs::File::create(lab.campaign().join("raw/other").join(name)).unwrap();
+        periscope::formats::npy::write(&mut file, &[shots as u64, samples as u64], &codes).unwrap();
+    };
+    for (name, shape) in [
+        ("L1_P5_S0.npy", [32, 16_384]),
+        ("L2_P6_S0.npy", [200, 16_384]),
+        ("L2_P6_S200.npy", [200, 16_384]),
+        ("L3_P7_S0.npy", [200, 16_384]),
+        ("L3_P8_S0.npy", [200, 16_384]),
+        ("L3_P8_S200.npy", [32, 16_384]),
+    ] {
+        write(name, shape);
+    }
+    let run = |out: &str, params: &str| {
+        let average = "[profiles]\nstage = 'average'\nfrom = 'traces'\n";
+        lab.run(out, &format!("[traces]\nstage = 'ingest'\n{params}{average}"), &Settings::default()).unwrap();
+        lab.rows::<Profile>(out, "profiles")
+    };
+    let rows = run("in-place", "");
+    let pairs: Vec<(i32, i32, i32)> = rows.iter().map(|row| (row.lit, row.seen, row.shots)).collect();
+    let of_bulk = |lit, seen| (lit, seen, 512);
+    let (first, second) = ([of_bulk(1, 2), of_bulk(2, 1)], [of_bulk(3, 4), of_bulk(4, 3)]);
+    assert_eq!(pairs, [&first[..], &[(1, 5, 32), (2, 6, 400)], &second, &[(3, 7, 200), (3, 8, 232)]].concat());
+    assert_eq!(rows, run("archived", "params = { codes = 'none' }\n"));
+}
+
 /// A file that ends within a shot, and one that ends within its head: whatever is read at a time, the same shots count
 /// and the same is said.
 #[test]

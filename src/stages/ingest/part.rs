@@ -145,11 +145,12 @@ impl Reader<'_> {
             let is_large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
             let is_long = is_large && in_place && share.of_file.is_none() && is_long(&captures[share.index], item);
             let held = if is_long { self.piece_bytes() } else { (item.bytes as usize).min(self.batch_bytes) };
-            let is_apart = is_large != group.is_long || (is_long && group.has_a_file_of(item));
+            let is_alone = is_large && !is_long;
+            let is_apart = is_alone || is_long != group.is_long || (is_long && group.has_a_file_of(item));
             if is_apart || group.held + held > batches * self.batch_bytes {
                 self.side_by_side(captures, &std::mem::take(&mut group))?;
             }
-            if is_large && !is_long {
+            if is_alone {
                 self.large(captures, &share)?;
             } else {
                 group.is_long = is_long;
