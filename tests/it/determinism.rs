@@ -55,8 +55,8 @@ fn stages_below_a_source_do_not_depend_on_one_another() {
     assert_eq!(profiles("archived", "odd"), profiles("both", "odd"));
 }
 
-/// Captures of one small file, of one that is read in pieces, and of two, in turn: their rows come in the order of
-/// captures, and are those of an archive.
+/// Captures of one small file, of one that is read in pieces, of two, and of shots larger than a piece, in turn: their
+/// rows come in the order of captures, and are those of an archive.
 #[test]
 fn captures_of_all_sizes_come_in_their_order() {
     let lab = Lab::bulk(4);
@@ -79,6 +79,8 @@ fn captures_of_all_sizes_come_in_their_order() {
         ("L3_P7_S0.npy", [200, 16_384]),
         ("L3_P8_S0.npy", [200, 16_384]),
         ("L3_P8_S200.npy", [32, 16_384]),
+        ("L4_P9_S0.npy", [10, 600_000]),
+        ("L5_P10_S0.npy", [200, 16_384]),
     ] {
         write(name, shape);
     }
@@ -91,7 +93,11 @@ fn captures_of_all_sizes_come_in_their_order() {
     let pairs: Vec<(i32, i32, i32)> = rows.iter().map(|row| (row.lit, row.seen, row.shots)).collect();
     let of_bulk = |lit, seen| (lit, seen, 512);
     let (first, second) = ([of_bulk(1, 2), of_bulk(2, 1)], [of_bulk(3, 4), of_bulk(4, 3)]);
-    assert_eq!(pairs, [&first[..], &[(1, 5, 32), (2, 6, 400)], &second, &[(3, 7, 200), (3, 8, 232)]].concat());
+    assert_eq!(
+        pairs,
+        [&first[..], &[(1, 5, 32), (2, 6, 400)], &second, &[(3, 7, 200), (3, 8, 232), (4, 9, 10), (5, 10, 200)]]
+            .concat()
+    );
     assert_eq!(rows, run("archived", "params = { codes = 'none' }\n"));
 }
 

@@ -182,12 +182,27 @@ impl Reader<'_> {
         };
         let read: Vec<Read> = units.par_iter().map(read).collect();
         let mut read = units.iter().zip(read).peekable();
+        if *is_long {
+            drop(credit);
+            return read.try_for_each(|(unit, read)| self.hand_on_long(captures, unit, read));
+        }
         while let Some((_, Read { reduced: next, .. })) = read.peek() {
             let is_reduced = next.is_some();
             let run = from_fn(|| read.next_if(|(_, Read { reduced, .. })| reduced.is_some() == is_reduced)).collect();
             if is_reduced { self.hand_on(run)? } else { self.send_rows(run, &credit)? }
         }
         self.feed.read_bytes(items.iter().map(|(_, item)| item.bytes).sum());
+        Ok(())
+    }
+
+    /// Hands on what was made of a large file piece by piece; reads it by itself if its exposures are larger than that.
+    fn hand_on_long(&mut self, captures: &[Capture], unit: &Unit<'_>, read: Read) -> Result<(), StageError> {
+        let (index, Job { item, .. }) = &unit.jobs[0];
+        if read.reduced.is_none() {
+            return self.large(captures, &Share { index: *index, item, of_file: None });
+        }
+        self.hand_on(vec![(unit, read)])?;
+        self.feed.read_bytes(item.bytes);
         Ok(())
     }
 

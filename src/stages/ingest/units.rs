@@ -25,7 +25,7 @@ pub struct Unit<'a> {
 
 /// What was read of a unit.
 pub struct Read {
-    /// Item by item. Where the unit was reduced, the first one has the rows of all, without codes.
+    /// Item by item, if it was read. Where the unit was reduced, the first one has the rows of all, without codes.
     pub done: Vec<Done>,
     /// What was made of its captures.
     pub reduced: Option<Reduced>,
@@ -96,12 +96,15 @@ impl<'a> Unit<'a> {
     }
 
     /// Reads the one item of a capture in pieces, and reduces it piece by piece; `bytes` are those of a piece, and the
-    /// most that an exposure may have.
+    /// most that an exposure may have. Nothing is read, nor reduced, where an exposure is larger than a piece.
     pub fn read_long(&self, surveyed: &Surveyed<'_>, in_place: &dyn InPlace, keeps: bool, bytes: [usize; 2]) -> Read {
         let (_, job) = &self.jobs[0];
         let mut capture = in_place.one();
         let done = match Long::open(surveyed, job, Reading::Long, None, bytes) {
             Err(done) => *done,
+            Ok(long) if long.piece_bytes(job).is_some_and(|piece| piece > bytes[0]) => {
+                return Read { done: Vec::new(), reduced: None };
+            }
             Ok(mut long) => {
                 while let Some(rows) = long.next(surveyed, job) {
                     capture.take(&rows.to_batch());
