@@ -22,7 +22,7 @@ static COUNTED: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
 /// Most allocations, reallocations included, per additional exposure of a capture that is averaged where it is read.
 const EXPOSURE_MAX: f64 = 0.05;
-/// The same of a file that is read in pieces of 4 MiB: those of a piece, which a thousand exposures share.
+/// The same of a file that is read in pieces of 2 MiB: those of a piece, which five hundred exposures share.
 const EXPOSURE_IN_PIECES_MAX: f64 = 1.2;
 /// The same of one capture more.
 const CAPTURE_MAX: f64 = 1000.0;

@@ -30,7 +30,7 @@ const IN_PLACE_BATCHES: usize = 4;
 /// Of larger files one thread reads and the next one averages; those up to this size are averaged where they are read.
 const LONG_BYTES: u64 = 64 << 20;
 /// Pieces of these at most: one is read, hashed and added up while it is in the second cache.
-const PIECE_BYTES: usize = 1 << 20;
+const PIECE_BYTES: usize = 2 << 20;
 /// Rows of an index that are stored together.
 pub const INDEX_ROWS: usize = 1 << 13;
 
