@@ -27,6 +27,8 @@ const ITEMS_SENT: usize = 64;
 /// Batches that are read together where captures are reduced in place: what is made of them is small, and threads wait
 /// for one another less often.
 const IN_PLACE_BATCHES: usize = 4;
+/// Items that are read together at most: what is made of captures of one shot has many times their bytes.
+const ITEMS_TOGETHER: usize = 512;
 /// Of larger files one thread reads and the next one averages; those up to this size are averaged where they are read.
 const LONG_BYTES: u64 = 64 << 20;
 /// Pieces of these at most: one is read, hashed and added up while it is in the second cache.
@@ -147,7 +149,8 @@ impl Reader<'_> {
             let held = if is_long { self.piece_bytes() } else { (item.bytes as usize).min(self.batch_bytes) };
             let is_alone = is_large && !is_long;
             let is_apart = is_alone || is_long != group.is_long || (is_long && group.has_a_file_of(item));
-            if is_apart || group.held + held > batches * self.batch_bytes {
+            let is_full = group.items.len() == ITEMS_TOGETHER || group.held + held > batches * self.batch_bytes;
+            if is_apart || is_full {
                 self.side_by_side(captures, &std::mem::take(&mut group))?;
             }
             if is_alone {
