@@ -96,8 +96,8 @@ impl Together<'_> {
     }
 }
 
-/// Whether a file larger than a batch is a capture by itself that is reduced piece by piece: next to others, which one
-/// of a very large file has no time to wait for.
+/// Whether a file larger than a batch is reduced piece by piece, next to others: it is a capture by itself, and not so
+/// large that others wait long for it.
 fn is_long(capture: &Capture, item: &Item) -> bool {
     capture.items.len() == 1 && !item.is_share() && item.bytes <= LONG_BYTES
 }
