@@ -74,7 +74,7 @@ impl WallOutlook {
         let hidden_side = Point::new(0.0, 0.0, 1.0);
         let inwards = wall_normal(&wall.places(), &hidden_side).expect("the points of a wall span a plane");
         let timing = Timing { lit: &Lit::Same, inwards, medium, rises: &rises, threshold_sigma };
-        let points = timing.points(bins.len(), |n| bins[n], cancel);
+        let points = timing.shown(bins.len(), |n| bins[n], cancel).points;
         let sighting = |(n, point): &(usize, SurfacePoint)| Sighting {
             seen: bins[*n].0,
             light: point.light,

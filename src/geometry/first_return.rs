@@ -133,6 +133,14 @@ pub enum Lit {
     Apart(Vec<Vector3<f64>>),
 }
 
+impl Lit {
+    /// Share of a way's length that is a field's: half of a way there and back.
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        if matches!(self, Self::One(_)) { 1.0 } else { 0.5 }
+    }
+}
+
 /// First returns of a wall.
 #[derive(Clone, Debug)]
 pub struct Scan {
@@ -386,9 +394,8 @@ pub fn wall_normal(points: &[Point], front: &Point) -> Option<Vector3<f64>> {
 }
 
 impl Scan {
-    /// Share of a way's length that is the field's: half of a way there and back.
     fn share(&self) -> f64 {
-        if matches!(self.lit, Lit::One(_)) { 1.0 } else { 0.5 }
+        self.lit.share()
     }
 
     /// Radius of the part of the surface that returns light within the response's width, at a distance.

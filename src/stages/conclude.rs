@@ -65,8 +65,8 @@ use super::stage::{Apply, Beside, BesideTables, Grain, Outcome, Stage, StageErro
 use crate::campaign::{Campaign, count};
 use crate::geometry::maximum_likelihood;
 use crate::tables::{
-    Ambiguity, Calibration, Decision, Fit, Hypothesis, Image, JointSearch, Label, Mesh, Name, ONSET_KINDS, Onset,
-    Patch, PatchFootprint, Plane, SceneOdds, Shape, SurfacePoint,
+    Ambiguity, Calibration, Decision, Fit, Hypothesis, Image, JointSearch, Label, Mesh, Name, ONSET_KINDS, Omission,
+    Onset, Patch, PatchFootprint, Plane, SceneOdds, Shape, SurfacePoint,
 };
 
 /// Bounces of the last light that all rooms show.
@@ -97,6 +97,8 @@ pub struct Context {
     images: Vec<Image>,
     /// Of `first_returns`; `None` where it did not run.
     surface: Option<Vec<SurfacePoint>>,
+    /// Of `first_returns` too; `None` where it is not given.
+    omissions: Option<Vec<Omission>>,
     /// Of `shape`; `None` where it did not run.
     shapes: Option<Vec<Shape>>,
     /// Of `mesh`; `None` where it did not run.
@@ -105,7 +107,7 @@ pub struct Context {
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },
@@ -121,6 +123,7 @@ impl Stage for Conclude {
         Beside { name: "searches", table: "searches", required: false },
         Beside { name: "images", table: "images", required: false },
         Beside { name: "surface", table: "surface_points", required: false },
+        Beside { name: "omissions", table: "omissions", required: false },
         Beside { name: "shapes", table: "shapes", required: false },
         Beside { name: "meshes", table: "meshes", required: false },
     ];
@@ -155,6 +158,7 @@ impl Stage for Conclude {
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
             surface,
+            omissions: beside.rows("omissions")?,
             shapes: beside.rows("shapes")?,
             meshes: beside.rows("meshes")?,
         })
@@ -170,7 +174,8 @@ impl Apply for Conclude {
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
         let surface = context.surface.as_deref().map(|points| {
             let (shapes, meshes) = (context.shapes.as_deref(), context.meshes.as_deref());
-            relay_wall::Surface { points, shapes, meshes }
+            let omissions = context.omissions.as_deref();
+            relay_wall::Surface { points, omissions, shapes, meshes }
         });
         let mut decisions = relay_wall::decisions(&context.searches, &context.images, surface);
         if context.is_from_onsets {

@@ -16,7 +16,8 @@
 //! Takes `patches` (of `anchor` or `refine`: points of the wall), `profiles` and `calibration`. Confocal captures are
 //! one scan; of the others, each lit point with 16 seen points or more is a scan of its own, and the rest are pairs
 //! that move together: one scan where each lit point has one seen point, else one for each way from the lit to the seen
-//! point. Writes `surface_points`. Captures of other roles than scene, and of patches without a place, are left out.
+//! point. Writes `surface_points`, and `omissions` beside it: pairs of points of the wall without a point, and why.
+//! Captures of other roles than scene, and of patches without a place, are in neither.
 //!
 //! Not modelled: later returns, errors of the wall's places, noise of voltages that is correlated from sample to sample
 //! (it makes standard deviations too small).
@@ -45,9 +46,10 @@ use crate::priors::campaign_fields::{ByCampaign, Medium};
 use crate::priors::covariances::upper;
 use crate::priors::relay_histograms::{self, Fields, Histogram, Times, Waveforms};
 use crate::signal::edge::{Bins, Noise, Rises};
-use crate::tables::{JointSearch, Patch, SurfacePoint};
+use crate::tables::{JointSearch, Omission, Patch, Row, SurfacePoint};
 use crate::units::PatchId;
 pub use timing::Timing;
+use timing::{Omitted, Why};
 
 /// Samples of the response across its width.
 const SAMPLES: f64 = 40.0;
@@ -90,14 +92,14 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 13;
+    const VERSION: u32 = 14;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
         Beside { name: "calibration", table: "calibration", required: true },
         Beside { name: "searches", table: "searches", required: false },
     ];
-    const SIDES: &'static [Side] = &[];
+    const SIDES: &'static [Side] = &[Side { name: Omission::TABLE, schema: Omission::schema }];
     type Input = Patch;
     type Output = SurfacePoint;
     type Fields = ByCampaign<Fields>;
@@ -118,7 +120,7 @@ impl Apply for FirstReturns {
     fn apply(&self, context: &Context, group: Vec<Patch>) -> Result<Outcome<SurfacePoint>, StageError> {
         let is_extended = |searches: &Vec<JointSearch>| searches.iter().any(|one| &*one.verdict == "extended-object");
         if !context.searches.as_ref().is_none_or(is_extended) {
-            return Ok(Outcome::rows(Vec::new()));
+            return Ok(outcome((Vec::new(), Vec::new()), Vec::new()));
         }
         let best = group.iter().filter(|patch| patch.alternative == 0);
         let points: BTreeMap<PatchId, Point> =
@@ -129,18 +131,24 @@ impl Apply for FirstReturns {
             .iter()
             .filter_map(|waveform| Histogram::new(waveform, &points, |campaign| context.fields.get(campaign)))
             .collect();
-        let (rows, why) = match self.points(context, &histograms) {
-            Ok(rows) => (rows, None),
-            Err(why) => (Vec::new(), Some(why)),
-        };
-        let rejections = why.map(|why| Rejection::new(context.fields.first_name(), why)).into_iter().collect();
-        Ok(Outcome { rows, sides: Vec::new(), rejections })
+        Ok(match self.points(context, &histograms) {
+            Ok(tables) => outcome(tables, Vec::new()),
+            Err(why) => outcome((Vec::new(), Vec::new()), vec![Rejection::new(context.fields.first_name(), why)]),
+        })
     }
 }
 
+fn outcome((rows, omissions): (Vec<SurfacePoint>, Vec<Omission>), rejections: Vec<Rejection>) -> Outcome<SurfacePoint> {
+    Outcome { rows, sides: vec![Omission::to_batch(&omissions)], rejections }
+}
+
 impl FirstReturns {
-    /// Points of all scans; or why there are none.
-    fn points(&self, context: &Context, histograms: &[Histogram<'_>]) -> Result<Vec<SurfacePoint>, String> {
+    /// Points of all scans, and pairs without one; or why there are no points.
+    fn points(
+        &self,
+        context: &Context,
+        histograms: &[Histogram<'_>],
+    ) -> Result<(Vec<SurfacePoint>, Vec<Omission>), String> {
         let Some((first, fields)) = histograms.first().zip(context.fields.first()) else {
             return Err("no capture of the scene has a calibration and places of its patches".to_owned());
         };
@@ -158,16 +166,28 @@ impl FirstReturns {
                  each that moves with them; there is none"
             ));
         }
-        let of_scan = |scan: Group<'_, '_>| {
-            let members: Vec<&Histogram<'_>> = scan.members.iter().copied().filter(|one| has_noise(one)).collect();
+        let mut rows = Vec::new();
+        let mut omissions: BTreeMap<[PatchId; 2], Omission> =
+            histograms.iter().map(|one| (one.pair(), omission(one.pair(), "no-scan", None))).collect();
+        for scan in groups {
+            let (members, quiet): (Vec<&Histogram<'_>>, Vec<_>) =
+                scan.members.iter().copied().partition(|one| has_noise(one));
             let lit = scan.lit(members.iter().copied());
             let record = |n: usize| Record::new(scan.place(members[n]), members[n], &times);
             let threshold_sigma = self.threshold_sigma.get();
             let timing = Timing { lit: &lit, inwards, medium, rises: &rises, threshold_sigma };
-            let points = timing.points(members.len(), record, &context.cancel);
-            points.iter().map(|(n, point)| row(point, members[*n].pair())).collect::<Vec<_>>()
-        };
-        Ok(groups.into_iter().flat_map(of_scan).collect())
+            let shown = timing.shown(members.len(), record, &context.cancel);
+            omissions.extend(quiet.iter().map(|one| (one.pair(), omission(one.pair(), "no-noise", None))));
+            let of_omitted = |Omitted { number, why, light }: &Omitted| {
+                let pair = members[*number].pair();
+                let light_m = light.map(|light| [light.length_m, light.sd_m].map(|length_m| lit.share() * length_m));
+                (pair, omission(pair, reason(*why), light_m))
+            };
+            omissions.extend(shown.omitted.iter().map(of_omitted));
+            rows.extend(shown.points.iter().map(|(n, point)| row(point, members[*n].pair())));
+        }
+        rows.iter().for_each(|row| drop(omissions.remove(&[row.lit, row.seen])));
+        Ok((rows, omissions.into_values().collect()))
     }
 
     /// The beginnings of light behind the response: that of the wall's own light, else that of the calibration.
@@ -301,6 +321,20 @@ fn moves<'h, 'a>(pairs: Vec<Vec<&'h Histogram<'a>>>, alike_m: f64) -> Vec<Vec<&'
         }
     }
     scans
+}
+
+fn reason(why: Why) -> &'static str {
+    match why {
+        Why::NoRise => "no-rise",
+        Why::Untimed => "untimed",
+        Why::EarlierLight => "earlier-light",
+        Why::NoField => "no-field",
+    }
+}
+
+fn omission([lit, seen]: [PatchId; 2], reason: &str, light_m: Option<[f64; 2]>) -> Omission {
+    let [light_m, light_sd_m] = [0, 1].map(|k| light_m.map(|light_m| light_m[k]));
+    Omission { lit, seen, reason: reason.into(), light_m, light_sd_m }
 }
 
 fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> SurfacePoint {

@@ -26,7 +26,7 @@ pub fn key_of(table: &str) -> Option<&'static [&'static str]> {
         "images" => &["method"],
         "volumes" => &["grid_row"],
         "searches" => &["verdict"],
-        "surface_points" => &["lit", "seen"],
+        "surface_points" | "omissions" => &["lit", "seen"],
         "shapes" => &["shape"],
         "meshes" => &["mesh"],
         "vertices" => &["mesh", "grid_row", "grid_column"],

@@ -13,6 +13,7 @@ pub mod keys;
 pub mod labels;
 pub mod measurements;
 pub mod meshes;
+pub mod omissions;
 pub mod onsets;
 pub mod patches;
 pub mod planes;
@@ -47,6 +48,7 @@ pub use keys::key_of;
 pub use labels::Label;
 pub use measurements::Measurement;
 pub use meshes::{Mesh, Vertex};
+pub use omissions::Omission;
 pub use onsets::Onset;
 pub use patches::{Patch, PatchCovariance};
 pub use planes::{PatchFootprint, Plane};
@@ -97,6 +99,7 @@ pub fn all() -> Vec<(&'static str, SchemaRef)> {
         of::<VolumeRow>(),
         of::<JointSearch>(),
         of::<SurfacePoint>(),
+        of::<Omission>(),
         of::<Shape>(),
         of::<Mesh>(),
         of::<Vertex>(),

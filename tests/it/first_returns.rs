@@ -8,7 +8,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use periscope::store::Shelf;
-use periscope::tables::{Patch, Row, Shape, SurfacePoint, Vertex};
+use periscope::tables::{Decision, Omission, Patch, Row, Shape, SurfacePoint, Vertex};
 
 use crate::relay_scene::{Capture, FWHM_PS, periscope, response};
 
@@ -386,21 +386,56 @@ fn points_of_a_sphere_and_a_plate_lie_within_their_error_bars() {
     assert!(planes == 1 && shapes.len() == 1 && on_shapes > 60, "{on_shapes} points on {shapes:?}");
 }
 
-/// A dark plate before a bright one: where its light is too weak for a single histogram, that of the bright one is
-/// found first. Before neighbours counted, 421 of 851 points lay on the plate behind.
-#[test]
-fn light_from_behind_is_not_first_light() {
+fn dark_before_bright() -> Thing {
     let plate = |middle: Point, half_m: f64| {
         cuboid(middle, [Vector3::x() * half_m, Vector3::y() * half_m, Vector3::zeros()], PITCH_M)
     };
     let mut dark = plate(Point::new(-0.1, 0.0, 0.55), 0.05);
     dark.facets.iter_mut().for_each(|(.., area_m2)| *area_m2 *= DARK);
-    let thing = both(dark, plate(Point::new(0.1, 0.05, 0.75), 0.15));
-    let points = results(&thing, &capture(32, 5), 3000.0).points;
+    both(dark, plate(Point::new(0.1, 0.05, 0.75), 0.15))
+}
+
+/// A dark plate before a bright one: where its light is too weak for a single histogram, that of the bright one is
+/// found first. Before neighbours counted, 421 of 851 points lay on the plate behind.
+#[test]
+fn light_from_behind_is_not_first_light() {
+    let points = results(&dark_before_bright(), &capture(32, 5), 3000.0).points;
     let [count, farther] =
         [points.iter().map(|one| one.points).sum::<usize>(), points.iter().map(|one| one.farther).sum()];
     println!("{farther} of {count} points are those of the plate behind");
     assert!(count - farther > 430 && farther < 50, "{farther} of {count}");
+}
+
+/// Each point of the wall has a row: a point of the surface, or why there is none. Before, places whose light is that
+/// from behind were in no table.
+#[test]
+fn each_point_of_the_wall_has_a_row() {
+    let folder = tempfile::tempdir().unwrap();
+    // The plate behind is seen by all, the dark one by some with their neighbours alone.
+    convert(folder.path(), &dark_before_bright(), &capture(32, 5), 1000.0);
+    periscope(folder.path(), &["run", "first-returns", "--campaign", "campaign", "--out", "out"]);
+    let points: Vec<SurfacePoint> = rows(folder.path(), "out", "surface");
+    let omissions: Vec<Omission> = rows(folder.path(), "out", "surface.omissions");
+    let mut seen: Vec<i32> = points.iter().map(|row| row.seen).chain(omissions.iter().map(|row| row.seen)).collect();
+    seen.sort_unstable();
+    assert_eq!(seen, (1..=1024).collect::<Vec<i32>>());
+    let of = |reason: &str| omissions.iter().filter(|row| &*row.reason == reason).collect::<Vec<_>>();
+    let [none, earlier, odd] = ["no-rise", "earlier-light", "no-field"].map(of);
+    println!(
+        "{} points, no rise {}, earlier light {}, no field {}",
+        points.len(),
+        none.len(),
+        earlier.len(),
+        odd.len()
+    );
+    assert!(none.len() > 20 && earlier.len() > 20, "{omissions:?}");
+    assert!(none.iter().all(|row| row.light_m.is_none() && row.light_sd_m.is_none()));
+    // Light from behind comes over more than the distance of the dark plate.
+    assert!(earlier.iter().all(|row| row.light_m.is_some_and(|light_m| light_m > 0.55) && row.light_sd_m.is_some()));
+    let decisions: Vec<Decision> = rows(folder.path(), "out", "decisions");
+    let surface = decisions.iter().find(|row| &*row.what == "surface").unwrap();
+    let words = format!("{} with light before it that is too weak to be timed", earlier.len());
+    assert!(surface.evidence.contains(&words), "{}", surface.evidence);
 }
 
 /// Lengths to a wave are nearly those to flat faces with a larger error of their law.

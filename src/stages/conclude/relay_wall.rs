@@ -2,7 +2,7 @@
 
 use super::decision;
 use crate::campaign::count;
-use crate::tables::{Decision, Image, JointSearch, Mesh, Shape, SurfacePoint};
+use crate::tables::{Decision, Image, JointSearch, Mesh, Omission, Shape, SurfacePoint};
 
 /// Shapes that are named one by one.
 const NAMED: usize = 6;
@@ -11,6 +11,7 @@ const NAMED: usize = 6;
 #[derive(Clone, Copy)]
 pub(super) struct Surface<'a> {
     pub points: &'a [SurfacePoint],
+    pub omissions: Option<&'a [Omission]>,
     pub shapes: Option<&'a [Shape]>,
     pub meshes: Option<&'a [Mesh]>,
 }
@@ -19,8 +20,8 @@ pub(super) struct Surface<'a> {
 pub(super) fn decisions(searches: &[JointSearch], images: &[Image], surface: Option<Surface<'_>>) -> Vec<Decision> {
     let mut decisions: Vec<Decision> = searches.iter().map(verdict).collect();
     let is_extended = searches.is_empty() || searches.iter().any(|search| &*search.verdict == "extended-object");
-    if let Some(Surface { points, shapes, meshes }) = surface.filter(|_| is_extended) {
-        decisions.push(points_of_surface(points, searches.is_empty()));
+    if let Some(Surface { points, omissions, shapes, meshes }) = surface.filter(|_| is_extended) {
+        decisions.push(points_of_surface(points, omissions.unwrap_or_default(), searches.is_empty()));
         if !points.is_empty() {
             decisions.extend(shapes.map(|shapes| shapes_of_surface(shapes, points.len())));
             decisions.extend(meshes.map(meshes_of_surface));
@@ -57,7 +58,7 @@ fn verdict(search: &JointSearch) -> Decision {
 }
 
 /// What first light says of an extended object. Where nothing else was looked for, nothing says that there is one.
-fn points_of_surface(points: &[SurfacePoint], is_presumed: bool) -> Decision {
+fn points_of_surface(points: &[SurfacePoint], omissions: &[Omission], is_presumed: bool) -> Decision {
     let of_kind = |kind: &str| points.iter().filter(|point| &*point.kind == kind).count();
     let mut sds_mm: Vec<f64> = points.iter().map(|point| 1e3 * point.sd_m).collect();
     sds_mm.sort_by(f64::total_cmp);
@@ -79,7 +80,29 @@ fn points_of_surface(points: &[SurfacePoint], is_presumed: bool) -> Decision {
         }
         None => "light rises in too few histograms, or at times that no surface has".to_owned(),
     };
+    let evidence = match without_point(omissions) {
+        Some(without) => format!("{evidence}; {without}"),
+        None => evidence,
+    };
     decision("surface", &chosen, &evidence, "more photons, or more points of the wall")
+}
+
+/// How many points of the wall have no point of a surface, by reason; `None` where all have one.
+fn without_point(omissions: &[Omission]) -> Option<String> {
+    let reasons = [
+        ("no-rise", "no light that rises"),
+        ("untimed", "light that cannot be timed"),
+        ("earlier-light", "light before it that is too weak to be timed"),
+        ("no-field", "neighbours that do not agree on one surface"),
+        ("no-scan", "a pair that is in no scan"),
+        ("no-noise", "levels that do not vary"),
+    ];
+    let parts = reasons.iter().filter_map(|(reason, words)| {
+        let number = omissions.iter().filter(|omission| &*omission.reason == *reason).count();
+        (number > 0).then(|| format!("{number} with {words}"))
+    });
+    let parts = parts.collect::<Vec<_>>().join(", ");
+    (!omissions.is_empty()).then(|| format!("without a point, in `surface.omissions`: {parts}"))
 }
 
 /// What these points lie on.

@@ -136,11 +136,13 @@ fn the_surface_of_an_extended_object_follows_its_verdict() {
         let search = JointSearch { verdict: verdict.into(), ..JointSearch::default() };
         let point = SurfacePoint { kind: "smooth".into(), sd_m: 0.002, ..SurfacePoint::default() };
         let surface = Some(vec![point; points]);
-        let rows = decisions(&Context { searches: vec![search], surface, ..Context::default() });
+        let omissions = Some(vec![Omission { reason: "no-rise".into(), ..Omission::default() }; 2]);
+        let rows = decisions(&Context { searches: vec![search], surface, omissions, ..Context::default() });
         rows.into_iter().find(|row| &*row.what == "surface")
     };
     let row = of("extended-object", 3).expect("an extended object has a surface");
     assert!(row.chosen.starts_with("3 points") && row.evidence.contains("3 smooth") && row.evidence.contains("2.0 mm"));
+    assert!(row.evidence.ends_with("without a point, in `surface.omissions`: 2 with no light that rises"), "{row:?}");
     assert!(of("extended-object", 0).is_some_and(|row| row.chosen.starts_with("no surface")));
     assert_eq!(of("points", 3), None);
 }

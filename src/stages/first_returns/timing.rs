@@ -24,6 +24,39 @@ pub struct Timing<'a> {
     pub threshold_sigma: f64,
 }
 
+/// What the histograms of a scan show.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// Points of the surface, each with the number of its histogram.
+    pub points: Vec<(usize, SurfacePoint)>,
+    /// The other histograms.
+    pub omitted: Vec<Omitted>,
+}
+
+/// A histogram that shows no point of the surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Omitted {
+    /// Its number.
+    pub number: usize,
+    /// Why it shows none.
+    pub why: Why,
+    /// Light that was found, as of a surface without an edge near.
+    pub light: Option<Return>,
+}
+
+/// Why a histogram shows no point of the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Why {
+    /// No light rises by the threshold.
+    NoRise,
+    /// The bins do not determine when light begins.
+    Untimed,
+    /// With the histograms of its neighbours there is light before it.
+    EarlierLight,
+    /// Neighbours do not agree on one surface, or are too few.
+    NoField,
+}
+
 /// A histogram of a scan.
 pub trait Histogram {
     /// The seen point, or the place midway between a pair that moves together.
@@ -59,15 +92,10 @@ impl Rise {
 }
 
 impl Timing<'_> {
-    /// Points of the surface that histograms show, each with the number of its histogram. Each histogram
-    /// is asked for once; of its bins those about its first rise are kept, and sums of those before.
+    /// Points of the surface that histograms show. Each histogram is asked for once; of its bins those about its first
+    /// rise are kept, and sums of those before.
     #[must_use]
-    pub fn points<H: Histogram>(
-        &self,
-        count: usize,
-        histogram: impl Fn(usize) -> H + Sync,
-        cancel: &Cancel,
-    ) -> Vec<(usize, SurfacePoint)> {
+    pub fn shown<H: Histogram>(&self, count: usize, histogram: impl Fn(usize) -> H + Sync, cancel: &Cancel) -> Shown {
         let rises = self.rises;
         let rise = |number: usize| {
             cancel.check();
@@ -97,6 +125,8 @@ impl Timing<'_> {
             })
             .collect();
         let are_from_behind = self.are_from_behind(&all, &timed, cancel);
+        let mut light = vec![None; count];
+        timed.iter().for_each(|(n, _, place)| light[*n] = Some(place.returns[0]));
         timed.retain(|(n, ..)| !are_from_behind[*n]);
         let places = timed.iter().map(|(.., place)| *place).collect();
         let sigma_m = self.medium.path_m(rises.sigma_ps());
@@ -111,7 +141,18 @@ impl Timing<'_> {
             let first = timed[place].1.first_returns_near(&laws, self.medium.time_ps(length_m));
             first.into_iter().map(|first| self.returned(first)).collect()
         };
-        surface_points(&scan, again, cancel).into_iter().map(|point| (timed[point.place].0, point)).collect()
+        let points = surface_points(&scan, again, cancel).into_iter().map(|point| (timed[point.place].0, point));
+        let points: Vec<(usize, SurfacePoint)> = points.collect();
+        let why = |n: usize| match (&all[n].1, light[n]) {
+            (None, _) => Why::NoRise,
+            (Some(_), None) => Why::Untimed,
+            _ if are_from_behind[n] => Why::EarlierLight,
+            _ => Why::NoField,
+        };
+        let mut is_shown = vec![false; count];
+        points.iter().for_each(|(n, _)| is_shown[*n] = true);
+        let omitted = (0..count).filter(|n| !is_shown[*n]).map(|n| Omitted { number: n, why: why(n), light: light[n] });
+        Shown { points, omitted: omitted.collect() }
     }
 
     /// Which histograms show light from behind: with those of their neighbours they have light before it.
