@@ -290,7 +290,7 @@ pub fn surface_points(
     let returned = |first: &FirstReturn| Return {
         length_m: path_m(first.time_ps, index),
         sd_m: path_m(first.sd_ps, index),
-        common_m: path_m(first.decline_ps, index),
+        common_m: path_m(first.common_ps, index),
         log_likelihood: first.log_likelihood,
     };
     let places =

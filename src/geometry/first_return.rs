@@ -10,6 +10,7 @@
 //! | module | does |
 //! |---|---|
 //! | `alike` | which neighbours show light of the same thing |
+//! | `joined` | places that lie closer than first light tells apart, joined |
 //! | `local` | what fields have in common: how they are fitted to lengths, and how sure they are |
 //! | `way` | how light goes to a place, and the point that value and gradient show |
 //! | `field` | a bent field: value, direction, curvature |
@@ -46,6 +47,7 @@ mod choice;
 mod dispersion;
 mod field;
 mod flat;
+mod joined;
 mod laws;
 mod local;
 mod odds;
@@ -67,6 +69,7 @@ use dispersion::Dispersion;
 use field::Field;
 pub use field::Kind;
 use flat::{Flat, Hint};
+use joined::Joined;
 use local::{Local, Sample};
 use windows::{Chosen, Reading, Wall};
 
@@ -219,24 +222,29 @@ pub fn surface_points(
     if scan.places.len() < LEAST {
         return Vec::new();
     }
-    let mut rounds = Rounds::new(scan, cancel);
+    let joined = Joined::of(scan, cancel);
+    let mut rounds = Rounds::new(&joined.scan, cancel);
     // The law of flat faces is that of a point that is lit and seen.
     if matches!(scan.lit, Lit::Same) {
         for round in 0..=ROUNDS {
             if round > 0 {
-                rounds.time_again(&timed);
+                rounds.time_again(|place, laws, flat| {
+                    let length_m = |seen: &Point| flat.length_m(seen) / scan.share();
+                    joined.timed(place, laws, length_m, &timed)
+                });
             }
             rounds.find_faces(cancel);
         }
     }
     let edges = rounds.edges_on_fields();
     let of_place = |place: usize| {
-        let choice = rounds.choice(place);
-        let mut point = choice.surface_point(scan, place)?;
-        choice.add_edges(&mut point, f64::max(rounds.edges[place], edges[place]));
-        Some(point)
+        let edges = f64::max(rounds.edges[place], edges[place]);
+        joined.members(place).iter().filter_map(|member| rounds.point_of(&joined, place, *member, edges)).collect()
     };
-    (0..scan.places.len()).into_par_iter().filter_map(of_place).collect()
+    let of_places: Vec<Vec<SurfacePoint>> = (0..joined.scan.places.len()).into_par_iter().map(of_place).collect();
+    let mut points: Vec<SurfacePoint> = of_places.into_iter().flatten().collect();
+    points.sort_by_key(|point| point.place);
+    points
 }
 
 /// What is known of each place, and what a round hands on to the next.
@@ -300,14 +308,26 @@ impl<'a> Rounds<'a> {
         self.fields.par_iter().zip(&self.flats).map(of_place).collect()
     }
 
-    fn points(&self) -> Vec<Option<SurfacePoint>> {
-        let of_place = |place: usize| self.choice(place).surface_point(self.scan, place);
-        (0..self.samples.len()).into_par_iter().map(of_place).collect()
+    fn point(&self, place: usize) -> Option<SurfacePoint> {
+        self.choice(place).surface_point(self.scan, place, &self.samples[place])
+    }
+
+    /// The point of a member of a joined place, where there are edges with this probability that lengths do not show.
+    fn point_of(&self, joined: &Joined<'_>, place: usize, member: u32, edges: f64) -> Option<SurfacePoint> {
+        let light = joined.of_member(place, member, &self.samples[place]);
+        let bent = self.fields[place].as_ref().map(|bent| bent.seen_from(light.at));
+        let flat = self.flats[place].as_ref().map(|flat| flat.seen_from(light.at));
+        let choice = Choice { bent: bent.as_ref(), flat: flat.as_ref(), ..self.choice(place) };
+        let mut point = choice.surface_point(self.scan, member as usize, &light)?;
+        choice.add_edges(&mut point, edges);
+        point.places = joined.count(point.places);
+        Some(point)
     }
 
     /// Flat faces that go on from the points of the round before.
     fn find_faces(&mut self, cancel: &Cancel) {
-        let hints: Vec<Option<Hint>> = self.points().iter().map(|point| point.as_ref().map(Hint::new)).collect();
+        let hint = |place: usize| self.point(place).as_ref().map(Hint::new);
+        let hints: Vec<Option<Hint>> = (0..self.samples.len()).into_par_iter().map(hint).collect();
         let bent: Vec<Option<Reading>> = self.fields.par_iter().map(|field| Some(field.as_ref()?.reading())).collect();
         self.faces = windows::flats(self.scan, &self.samples, &self.wall, (&hints, &bent), cancel);
         self.flats = windows::shared(&self.faces, &self.samples, &self.wall.near);
@@ -376,10 +396,10 @@ impl<'a> Rounds<'a> {
     }
 
     /// Lengths under the laws of the faces.
-    fn time_again(&mut self, timed: &(impl Fn(usize, &[Vec<Face>], f64) -> Vec<Option<Return>> + Sync)) {
+    fn time_again(&mut self, timed: impl Fn(usize, &[Vec<Face>], &Flat) -> Vec<Option<Return>> + Sync) {
         let law_m = self.law_m();
         let choices: Vec<Choice<'_>> = (0..self.samples.len()).map(|place| self.choice(place)).collect();
-        let again = |place: usize| laws::again(self.scan, place, &choices[place], law_m, timed);
+        let again = |place: usize| laws::again(self.scan, place, &choices[place], law_m, &timed);
         let again: Vec<_> = (0..choices.len()).into_par_iter().map(again).collect();
         self.samples = laws::mixed(self.scan, &self.wall.near, &self.first, &choices, &again, self.own_m);
     }

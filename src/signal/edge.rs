@@ -132,9 +132,10 @@ pub struct FirstReturn {
     pub sd_ps: f64,
     /// Light of a bin where whole rings are lit.
     pub height: f64,
-    /// By how much it is off where light declines otherwise than thought, by one standard deviation: an error that
-    /// histograms of one surface have in common.
-    pub decline_ps: f64,
+    /// Standard deviation of an error that histograms of one surface have in common: of light that declines otherwise
+    /// than thought, and the bias of the likeliest time of weak light, which grows as the square of its standard
+    /// deviation (Cox and Snell, Journal of the Royal Statistical Society B 30:248, 1968).
+    pub common_ps: f64,
     /// Logarithm of the likelihood, with the prior of the slope; laws compare, since they share their bins.
     pub log_likelihood: f64,
 }
@@ -353,7 +354,7 @@ impl<'a> Window<'a> {
             time_ps: time_ps + step_ps,
             sd_ps: variance.sqrt(),
             height,
-            decline_ps: (by_slope_ps * DECLINE_SD).abs(),
+            common_ps: (by_slope_ps * DECLINE_SD).hypot(variance / self.rises.sigma_ps()),
             log_likelihood: best.logarithm,
         };
         Some(Timed { first, unknowns: best.unknowns })

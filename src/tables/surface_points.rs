@@ -55,7 +55,7 @@ table! {
         curvature_max_per_m: Option<f64>,
         /// Smaller curvature.
         curvature_min_per_m: Option<f64>,
-        /// Pairs of points of the wall that entered.
+        /// Pairs of points of the wall that entered, about: those that are joined are counted by their mean number.
         wall_points: i32,
         /// Chi-square of their first returns over its degrees of freedom.
         misfit: f64,

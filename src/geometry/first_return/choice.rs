@@ -39,8 +39,8 @@ impl Choice<'_> {
         odds::probability(-0.5 * TEMPER * more)
     }
 
-    /// The point of the surface; `None` where nothing explains the place.
-    pub fn surface_point(&self, scan: &Scan, place: usize) -> Option<SurfacePoint> {
+    /// The point of the surface that belongs to a place, with its light; `None` where nothing explains it.
+    pub fn surface_point(&self, scan: &Scan, place: usize, light: &Sample) -> Option<SurfacePoint> {
         let common_m = COMMON.map(|share| share * scan.share() * scan.sigma_m);
         // The point is the mean by likelihoods: where a face ends, bent fields are off. The covariance is that about it
         // of what bent fields bear out.
@@ -68,7 +68,7 @@ impl Choice<'_> {
                 let distance_m = bent.field.distance_m(&Way::Back);
                 bent.field.bends(&Way::Back).map(|[bend, _]| bend / distance_m / (1.0 - bend))
             });
-        let Sample { length_m, sd_m, law_m, .. } = self.samples[place];
+        let Sample { length_m, sd_m, law_m, .. } = *light;
         let common_m = common_m[0] * (1.0 - self.share) + common_m[1] * self.share;
         Some(SurfacePoint {
             place,
@@ -100,8 +100,8 @@ impl Choice<'_> {
         let Some(bent) = self.bent else { return };
         let square_m2 = |n: &u32| (self.samples[*n as usize].at - bent.field.at).norm_squared();
         let mean_m2 = bent.members.iter().map(square_m2).sum::<f64>() / bent.members.len() as f64;
-        for (direction, variance_m2) in bent.field.slides(&bent.way, mean_m2, point.edges) {
-            let variance_m2 = direction * direction.transpose() * variance_m2 * (1.0 - self.share);
+        for (direction, variance_m2) in bent.field.slides(&bent.way, mean_m2, [1.0 - self.share, point.edges]) {
+            let variance_m2 = direction * direction.transpose() * variance_m2;
             point.covariance_m2 += variance_m2;
             point.normal_covariance += variance_m2 / bent.field.distance_m(&bent.way).powi(2);
         }

@@ -37,8 +37,10 @@ pub enum Kind {
 /// exact for a plane, a straight edge and a corner, and with the right `round` for a sphere and a cylinder.
 #[derive(Clone, Debug)]
 pub struct Field {
-    /// The place.
+    /// The place about which it is.
     pub at: Point,
+    /// The place from which it is read.
+    seen: Point,
     /// Length there.
     pub length_m: f64,
     /// Direction in which lengths grow.
@@ -56,6 +58,7 @@ impl Field {
     pub fn new(sample: &Sample, direction: Vector3<f64>) -> Self {
         Self {
             at: sample.at,
+            seen: sample.at,
             length_m: sample.length_m,
             direction,
             across: across(&direction),
@@ -84,6 +87,24 @@ impl Field {
         self.direction = (self.direction + self.across[0] * first + self.across[1] * second).normalize();
         let across = (self.across[0] - self.direction * self.direction.dot(&self.across[0])).normalize();
         self.across = [across, self.direction.cross(&across)];
+    }
+
+    /// The same, read from another place.
+    pub fn seen_from(&self, seen: Point) -> Self {
+        Self { seen, ..self.clone() }
+    }
+
+    /// Length at the place from which it is read, and the direction in which lengths grow there.
+    fn here(&self) -> (f64, Vector3<f64>) {
+        if self.seen == self.at {
+            return (self.length_m, self.direction);
+        }
+        let [along, x, y] = self.towards(&self.seen);
+        let [xx, xy, yy] = [self.bend[(0, 0)], self.bend[(0, 1)], self.bend[(1, 1)]];
+        let [first, second] = self.across;
+        let grows =
+            self.direction * (1.0 + self.round * along) + first * (xx * x + xy * y) + second * (xy * x + yy * y);
+        (self.length_m(&self.seen), grows.normalize())
     }
 
     fn point(&self, way: &Way) -> Point {
@@ -115,18 +136,19 @@ impl Field {
     }
 
     /// Directions along the surface, and variances of the nearest point along them, where the mean square distance of
-    /// members is this one. On concave surfaces the point slides several times as far as the wall's point, over parts
-    /// that are curved otherwise: the curvature of the lengths changes by a share of itself. If there are `edges`, with
-    /// this probability, it rests on one and jumps to the next.
-    pub fn slides(&self, way: &Way, radius_m2: f64, edges: f64) -> [(Vector3<f64>, f64); 2] {
+    /// members is this one, and the field explains the place with the probability `bent`. On concave surfaces the point
+    /// slides several times as far as the wall's point, over parts that are curved otherwise: the curvature of the
+    /// lengths changes by a share of itself. If there are `edges`, with this probability, it rests on one and jumps to
+    /// the next.
+    pub fn slides(&self, way: &Way, radius_m2: f64, [bent, edges]: [f64; 2]) -> [(Vector3<f64>, f64); 2] {
         let eigen = self.bend.symmetric_eigen();
         let distance_m = self.distance_m(way);
         [0, 1].map(|k| {
             let direction = self.across[0] * eigen.eigenvectors[(0, k)] + self.across[1] * eigen.eigenvectors[(1, k)];
             let bend = eigen.eigenvalues[k] * distance_m;
-            let moves = (1.0 - bend).max(0.0);
+            let [moves, hollow] = [1.0 - bend, -bend].map(|value| value.max(0.0));
             let of_edges = edges * (BETWEEN * moves).powi(2);
-            (direction, radius_m2 * ((CHANGE * (-bend).max(0.0)).powi(2) + of_edges))
+            (direction, radius_m2 * (bent * (CHANGE * hollow).powi(2) + of_edges))
         })
     }
 
@@ -147,8 +169,6 @@ impl Field {
 }
 
 impl Local for Field {
-    const READ: usize = 3;
-
     fn at(&self) -> Point {
         self.at
     }
@@ -192,9 +212,14 @@ impl Local for Field {
         self.length_m > 0.0
     }
 
+    fn read(&self) -> usize {
+        if self.seen == self.at { 3 } else { 6 }
+    }
+
     fn reading(&self, way: &Way) -> (Point, Vector3<f64>) {
-        let point = self.point(way);
-        (point, way.normal(&self.at, &point, &self.direction))
+        let (length_m, direction) = self.here();
+        let point = way.point(&self.seen, length_m, &direction);
+        (point, way.normal(&self.seen, &point, &direction))
     }
 
     fn fitted(&self) -> &Arc<Fitted> {

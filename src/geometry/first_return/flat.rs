@@ -200,8 +200,6 @@ impl Flat {
 }
 
 impl Local for Flat {
-    const READ: usize = UNKNOWNS;
-
     fn at(&self) -> Point {
         self.at
     }
@@ -249,6 +247,10 @@ impl Local for Flat {
 
     fn is_possible(&self) -> bool {
         self.corner.coords.iter().all(|value| value.is_finite()) && self.widths_m.iter().all(|width_m| *width_m > 0.0)
+    }
+
+    fn read(&self) -> usize {
+        UNKNOWNS
     }
 
     fn reading(&self, _: &Way) -> (Point, Vector3<f64>) {

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::choice::Choice;
 use super::field::Field;
+use super::flat::Flat;
 use super::local::{Local, Sample};
 use super::odds;
 use super::windows::Chosen;
@@ -37,6 +38,10 @@ const MOST_OF_ONE: f64 = 3.0;
 /// Neighbours whose light shows whether the surface faces the wall, and the logarithm of the odds for it before.
 const RISES: usize = 55;
 const TRUST: f64 = 3.0;
+/// Standard deviation of a first return, over that of the response, up to which its rise speaks for a face. Where light
+/// is weaker, histograms whose light happens to rise fast pass the threshold and the others do not, so that steps look
+/// like faces.
+const SHARP: f64 = 0.25;
 /// Least standard deviation of a curvature times distance, and likelihood of one that no surface has.
 const LEAST_SD: f64 = 0.05;
 const BEYOND: f64 = 1e-3;
@@ -135,7 +140,7 @@ pub fn again(
     place: usize,
     choice: &Choice<'_>,
     common_m: f64,
-    timed: impl Fn(usize, &[Vec<Face>], f64) -> Vec<Option<Return>>,
+    timed: impl Fn(usize, &[Vec<Face>], &Flat) -> Vec<Option<Return>>,
 ) -> Option<Again> {
     let flat = &choice.flat?.field;
     let length_m = flat.length_m(&scan.places[place].seen);
@@ -156,7 +161,7 @@ pub fn again(
         let with = |place: f64| std::array::from_fn(|end| if end == k { place } else { beyond[end] });
         ends[k].otherwise().filter(is_seen).map(|place| number(flat.faces(with(place)))).collect()
     });
-    let returns = timed(place, &laws, length_m / scan.share());
+    let returns = timed(place, &laws, flat);
     let own = returns[0]?;
     let other = returns[other].unwrap_or(own);
     let error_m = (common_m / scan.share()).max(scan.sigma_m * FACES_ERROR);
@@ -180,7 +185,8 @@ fn evidence(places: impl Iterator<Item = f64>) -> f64 {
 
 /// Of each place, the probability that first light of neighbours comes from edges or corners, where models say that the
 /// surface faces the wall: `is_facing` are the places of which they say so, `members` those of the model of a place.
-/// Lengths do not tell a plane from steps whose edges lie in it; how light rises does.
+/// Lengths do not tell a plane from steps whose edges lie in it; how light rises does. Where it says nothing, the
+/// probability is that before.
 pub fn by_rise<'a>(
     scan: &Scan,
     near: &[Vec<u32>],
@@ -190,12 +196,18 @@ pub fn by_rise<'a>(
     let of_place = |n: usize| {
         let Some(members) = members(n) else { return 0.0 };
         let is_like = |other: &&u32| is_facing[**other as usize] && members.binary_search(other).is_ok();
-        let more = evidence(near[n].iter().filter(is_like).take(RISES).map(|other| {
-            let [step, edge, corner] = scan.places[*other as usize].returns.map(|one| one.log_likelihood);
+        let all = || near[n].iter().filter(is_like).map(|other| &scan.places[*other as usize]);
+        if all().next().is_none() {
+            return 0.0;
+        }
+        let is_sharp = |place: &&Place| place.returns[0].sd_m < SHARP * scan.sigma_m;
+        let more = |place: &Place| {
+            let [step, edge, corner] = place.returns.map(|one| one.log_likelihood);
             edge.max(corner) - step
-        }));
-        // Without evidence there are none.
-        (odds::probability(more - TRUST) - odds::probability(-TRUST)).max(0.0)
+        };
+        let for_edges = evidence(all().take(RISES).map(more));
+        let against = || evidence(all().filter(is_sharp).take(RISES).map(more)).min(0.0);
+        odds::probability(if for_edges > 0.0 { for_edges } else { against() } - TRUST)
     };
     (0..near.len()).into_par_iter().map(of_place).collect()
 }
@@ -246,8 +258,8 @@ mod tests {
     /// as from a face, or nothing is said.
     #[test]
     fn light_that_rises_as_from_edges_refutes_faces() {
-        let edges = |more: f64, faces: bool| {
-            let of = |log_likelihood: f64| Return { length_m: 1.0, sd_m: 1e-3, common_m: 0.0, log_likelihood };
+        let edges_of = |more: f64, faces: bool, sd_m: f64| {
+            let of = |log_likelihood: f64| Return { length_m: 1.0, sd_m, common_m: 0.0, log_likelihood };
             let place = Place { seen: crate::Point::origin(), returns: [of(0.0), of(more), of(-5.0)] };
             let scan = Scan {
                 lit: super::super::Lit::Same,
@@ -259,9 +271,13 @@ mod tests {
             let members: Vec<u32> = (0..60).collect();
             by_rise(&scan, &near, &[faces; 60], |_| Some(&members[..]))[0]
         };
+        let edges = |more: f64, faces: bool| edges_of(more, faces, 1e-3);
+        let before = odds::probability(-TRUST);
         assert!(edges(0.7, true) > 0.9);
-        assert!(edges(-0.1, true) < 0.01);
-        assert!(edges(0.0, true) < 1e-9 && edges(0.7, false) < 1e-9);
+        assert!(edges(-0.1, true) < 0.5 * before);
+        assert!((edges(0.0, true) - before).abs() < 1e-9 && edges(0.7, false) < 1e-9);
+        // Of weak light those that rise fast are seen, steps or not.
+        assert!((edges_of(-0.5, true, 4e-3) - before).abs() < 1e-9 && edges_of(0.7, true, 4e-3) > 0.9);
     }
 
     #[test]

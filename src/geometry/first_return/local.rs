@@ -125,9 +125,6 @@ impl NormalEquations {
 
 /// A field of lengths about a place.
 pub trait Local: Clone + Send + Sync {
-    /// So many unknowns, the first ones, change the reading.
-    const READ: usize;
-
     /// The place.
     fn at(&self) -> Point;
     /// Length at a place.
@@ -140,6 +137,8 @@ pub trait Local: Clone + Send + Sync {
     fn prior(&self) -> (Unknowns, Unknowns);
     /// Whether lengths are possible ones.
     fn is_possible(&self) -> bool;
+    /// So many unknowns, the first ones, change the reading.
+    fn read(&self) -> usize;
     /// The point of the surface, and the unit vector away from it.
     fn reading(&self, way: &Way) -> (Point, Vector3<f64>);
     fn fitted(&self) -> &Arc<Fitted>;
@@ -276,7 +275,7 @@ pub trait Local: Clone + Send + Sync {
     /// Slopes of both parts of the reading by the unknowns.
     fn reading_slopes(&self, way: &Way) -> [SMatrix<f64, 3, UNKNOWNS>; 2] {
         let mut slopes = [SMatrix::<f64, 3, UNKNOWNS>::zeros(), SMatrix::<f64, 3, UNKNOWNS>::zeros()];
-        for k in 0..Self::READ {
+        for k in 0..self.read() {
             let read = |step: f64| {
                 let mut steps = Unknowns::zeros();
                 steps[k] = step;

@@ -12,6 +12,7 @@ use super::*;
 use crate::neighbours::neighbours;
 
 const SIGMA_M: f64 = 7.5e-3;
+const LIT: Point = Point::new(0.3, -0.2, 0.0);
 
 /// A wall of `side` times `side` points over a metre, with a relief.
 fn wall(side: usize, relief: impl Fn(f64, f64) -> f64) -> Vec<Point> {
@@ -116,6 +117,24 @@ fn neighbours_show_the_same_thing() {
     assert!(shows(middle) && alike[middle].len() > 35, "{}", alike[middle].len());
 }
 
+/// More light shows more: a wall with sixteen times as many places, each as noisy, has points nearer to the truth. When
+/// windows held so many places however close these lie, points were less exact with more of them.
+#[test]
+fn a_dense_wall_shows_more_than_one_with_fewer_places() {
+    for (name, surface, lit) in [
+        ("sphere", sphere as fn(&Point) -> Point, Lit::Same),
+        ("valley", valley, Lit::Same),
+        ("sphere of a lit point", |seen| reflects(&LIT, seen), Lit::One(LIT)),
+    ] {
+        let [few, many] = [32, 128].map(|side| {
+            let all = scan(&wall(side, |_, _| 0.0), lit.clone(), surface, 2e-3, 5);
+            judged(&all, surface)
+        });
+        println!("{name}: {few:?}, {many:?}");
+        assert!(many.0 > 0.93 && many.1 < 0.9 * few.1, "{name}: {many:?}, with fewer places {few:?}");
+    }
+}
+
 #[test]
 fn no_field_is_fitted_across_a_valley() {
     let (held, median_m) = judged(&scan(&wall(32, |_, _| 0.0), Lit::Same, valley, 1e-3, 3), valley);
@@ -164,7 +183,7 @@ fn faces_keep_their_share_where_they_alone_explain_a_place() {
         less += usize::from(rounds.shares[place] < 0.9 * rounds.likelihoods[place]);
         if rounds.fields[place].is_none() {
             alone += 1;
-            assert!(rounds.shares[place] == 1.0 && rounds.choice(place).surface_point(&scan, place).is_some());
+            assert!(rounds.shares[place] == 1.0 && rounds.point(place).is_some());
         }
     }
     assert!(alone > 100 && less > 20, "{alone}, {less}");

@@ -401,9 +401,17 @@ impl<F: Local> Chosen<F> {
     }
 }
 
+impl Chosen<Field> {
+    /// The same field, read from another place.
+    pub fn seen_from(&self, seen: Point) -> Self {
+        let others = self.others.iter().map(|(share, other)| (*share, other.seen_from(seen))).collect();
+        Self { field: self.field.seen_from(seen), members: self.members.clone(), others, ..*self }
+    }
+}
+
 impl Chosen<Flat> {
     /// The same faces as another place sees them.
-    fn seen_from(&self, at: Point) -> Self {
+    pub fn seen_from(&self, at: Point) -> Self {
         let others = self.others.iter().map(|(share, other)| (*share, other.seen_from(at))).collect();
         Self { field: self.field.seen_from(at), members: self.members.clone(), others, ..*self }
     }

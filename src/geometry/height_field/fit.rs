@@ -68,9 +68,11 @@ impl<'a> Problem<'a> {
         heights
     }
 
-    fn feet(&self, heights_m: &[f64]) -> Vec<Foot> {
+    /// The point of the surface next to each place. Those at heights before, if there are any, are near.
+    fn feet(&self, heights_m: &[f64], before: &[Foot]) -> Vec<Foot> {
         let nodes = self.grid.nodes(heights_m);
-        self.places.par_iter().map(|place| nodes.foot(place)).collect()
+        let near = |n: usize| before.get(n).map(|foot| foot.nodes[0] as usize);
+        (0..self.places.len()).into_par_iter().map(|n| nodes.foot(&self.places[n], near(n))).collect()
     }
 }
 
@@ -97,7 +99,8 @@ impl Fit {
         let mut best = 0;
         let mut heights_m = problem.envelope();
         for (n, bend_per_m) in BENDS_PER_M.into_iter().enumerate() {
-            let fit = Self::new(problem, heights_m.clone(), bend_per_m, cancel)?;
+            let before = fits.last().map_or(&[][..], |fit| &fit.feet);
+            let fit = Self::new(problem, heights_m.clone(), before, bend_per_m, cancel)?;
             heights_m.clone_from(&fit.heights_m);
             fits.push(fit);
             let gain = fits[n].evidence - fits[best].evidence;
@@ -110,9 +113,15 @@ impl Fit {
         (best > 0).then(|| (BENDS_PER_M[best], fits.swap_remove(best.saturating_sub(LOOSER))))
     }
 
-    /// From these heights on.
-    fn new(problem: &Problem<'_>, heights_m: Vec<f64>, bend_per_m: f64, cancel: &Cancel) -> Option<Self> {
-        let mut fit = Self::at(problem, heights_m, bend_per_m);
+    /// From these heights on, with the feet before them, if there are any.
+    fn new(
+        problem: &Problem<'_>,
+        heights_m: Vec<f64>,
+        before: &[Foot],
+        bend_per_m: f64,
+        cancel: &Cancel,
+    ) -> Option<Self> {
+        let mut fit = Self::at(problem, heights_m, before, bend_per_m);
         let mut damping = DAMPING;
         for _ in 0..ROUNDS {
             cancel.check();
@@ -122,7 +131,7 @@ impl Fit {
                 let mut step = gradient.clone();
                 information.clone().damped(damping).factor()?.solve(&mut step);
                 let heights_m = fit.heights_m.iter().zip(&step).map(|(height, step)| height + step).collect();
-                let next = Self::at(problem, heights_m, bend_per_m);
+                let next = Self::at(problem, heights_m, &fit.feet, bend_per_m);
                 if next.square + next.prior < before {
                     damping *= 0.2;
                     break Some(next);
@@ -146,8 +155,8 @@ impl Fit {
         Some(fit)
     }
 
-    fn at(problem: &Problem<'_>, heights_m: Vec<f64>, bend_per_m: f64) -> Self {
-        let feet = problem.feet(&heights_m);
+    fn at(problem: &Problem<'_>, heights_m: Vec<f64>, before: &[Foot], bend_per_m: f64) -> Self {
+        let feet = problem.feet(&heights_m, before);
         let loss = |n: usize| {
             let score = score(problem, &feet, n).abs();
             if score < OUTLIER { score * score } else { OUTLIER * (2.0 * score - OUTLIER) }

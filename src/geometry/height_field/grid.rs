@@ -148,22 +148,22 @@ impl Tile {
 }
 
 impl Nodes<'_> {
-    /// The nearest node to a place; of some that are equally near the first.
-    pub fn nearest(&self, place: &Point) -> usize {
-        let gaps_m2: Vec<f64> = self.tiles.iter().map(|tile| tile.gap_m2(place)).collect();
-        let first = (0..gaps_m2.len()).min_by(|a, b| gaps_m2[*a].total_cmp(&gaps_m2[*b])).expect("a grid has nodes");
-        let mut nearest = (f64::INFINITY, 0);
-        for n in std::iter::once(first).chain((0..gaps_m2.len()).filter(|n| *n != first)) {
+    /// The nearest node to a place; of some that are equally near the first. A node that is known to be near saves a
+    /// look at most others.
+    pub fn nearest(&self, place: &Point, near: Option<usize>) -> usize {
+        let far_m2 = |node: usize| (self.points[node] - place).norm_squared();
+        let mut nearest = near.map_or((f64::INFINITY, 0), |node| (far_m2(node), node));
+        for tile in &self.tiles {
             // The bound is rounded otherwise than distances are.
-            if gaps_m2[n] > nearest.0 * (1.0 + 1e-12) {
+            if tile.gap_m2(place) > nearest.0 * (1.0 + 1e-12) {
                 continue;
             }
-            let Tile { rows, columns, .. } = &self.tiles[n];
-            for node in rows.clone().flat_map(|row| columns.clone().map(move |column| row * self.grid.columns + column))
-            {
-                let square = (self.points[node] - place).norm_squared();
-                if (square, node) < nearest {
-                    nearest = (square, node);
+            for row in tile.rows.clone() {
+                for node in tile.columns.clone().map(|column| row * self.grid.columns + column) {
+                    let square = far_m2(node);
+                    if (square, node) < nearest {
+                        nearest = (square, node);
+                    }
                 }
             }
         }
@@ -171,8 +171,8 @@ impl Nodes<'_> {
     }
 
     /// The point of the surface next to a place: of the triangles about the nearest of its nodes.
-    pub fn foot(&self, place: &Point) -> Foot {
-        let nearest = self.nearest(place);
+    pub fn foot(&self, place: &Point, near: Option<usize>) -> Foot {
+        let nearest = self.nearest(place, near);
         let Grid { columns, rows, .. } = *self.grid;
         let (column, row) = (nearest % columns, nearest / columns);
         let mut best: Option<Foot> = None;

@@ -179,7 +179,9 @@ fn the_nearest_node_is_that_of_all() {
         let place = Point::new(0.4 * normal(&mut random), 0.4 * normal(&mut random), 0.3 * f64::from(n % 4));
         let far_m2 = |node: &usize| (grid.point(*node, heights_m[*node]) - place).norm_squared();
         let nearest = (0..grid.count()).min_by(|a, b| far_m2(a).total_cmp(&far_m2(b))).unwrap();
-        assert_eq!(nodes.nearest(&place), nearest, "{place}");
+        for near in [None, Some(0), Some(nearest), Some(grid.count() - 1)] {
+            assert_eq!(nodes.nearest(&place, near), nearest, "{place}, from {near:?}");
+        }
     }
 }
 

@@ -191,8 +191,8 @@ impl Timing<'_> {
 
     /// A first return as a length.
     fn returned(&self, first: Option<FirstReturn>) -> Option<Return> {
-        let FirstReturn { time_ps, sd_ps, decline_ps, log_likelihood, .. } = first?;
-        let [length_m, sd_m, common_m] = [time_ps, sd_ps, decline_ps].map(|time_ps| self.medium.path_m(time_ps));
+        let FirstReturn { time_ps, sd_ps, common_ps, log_likelihood, .. } = first?;
+        let [length_m, sd_m, common_m] = [time_ps, sd_ps, common_ps].map(|time_ps| self.medium.path_m(time_ps));
         Some(Return { length_m, sd_m, common_m, log_likelihood })
     }
 }
