@@ -180,10 +180,10 @@ mod tests {
     /// the wall shows something 0.1 m behind.
     fn dense() -> Scan {
         let places = (0..1600).map(|n| {
-            let k = (n * 607) % 1600;
-            let seen = Point::new((k % 40) as f64 * 5e-3, (k / 40) as f64 * 5e-3, 0.0);
+            let k: u32 = (n * 607) % 1600;
+            let seen = Point::new(f64::from(k % 40) * 5e-3, f64::from(k / 40) * 5e-3, 0.0);
             let behind = if seen.x + seen.y < 0.083 { 0.2 } else { 0.0 };
-            let sd_m = if k % 3 == 0 { 2e-3 } else { 1e-3 };
+            let sd_m = if k.is_multiple_of(3) { 2e-3 } else { 1e-3 };
             let length_m = 1.2 + 0.8 * seen.x - 0.3 * seen.y + behind;
             Place { seen, returns: [Return { length_m, sd_m, common_m: 1e-4, log_likelihood: -1.0 }; 3] }
         });
@@ -217,7 +217,7 @@ mod tests {
         let told_m = |seen: &Point| 1.2 + 0.8 * seen.x - 0.3 * seen.y;
         let timed = |n: usize, laws: &[Vec<Face>], near_m: f64| {
             let one = Return { length_m: near_m + 1e-3, ..whole.places[n].returns[0] };
-            vec![(n % 4 > 0).then_some(one); laws.len()]
+            vec![(!n.is_multiple_of(4)).then_some(one); laws.len()]
         };
         let number = joined
             .members
@@ -225,7 +225,7 @@ mod tests {
             .position(|members| members.len() == 4 && members.iter().any(|n| n.is_multiple_of(4)))
             .unwrap();
         let [one, other] = joined.timed(number, &[vec![], vec![]], told_m, timed)[..] else { panic!("two laws") };
-        let count = joined.members[number].iter().filter(|n| *n % 4 > 0).count();
+        let count = joined.members[number].iter().filter(|n| !n.is_multiple_of(4)).count();
         for one in [one, other].map(Option::unwrap) {
             assert!((one.length_m - told_m(&joined.scan.places[number].seen) - 1e-3).abs() < 1e-12);
             assert!((one.log_likelihood + count as f64).abs() < 1e-9 && count < 4);
