@@ -68,6 +68,33 @@ fn errors_scatter_as_stated() {
     assert!((0.7..1.2).contains(&square), "{square}");
 }
 
+/// The weaker light is, the later its likeliest time: neighbours have that in common, so that it does not average out.
+#[test]
+fn weak_light_is_late_by_what_it_says() {
+    let rises = rises();
+    let mut random = ChaCha8Rng::seed_from_u64(13);
+    for (k, power, height) in [(0, 0.0, 3.0), (1, 0.5, 3.0), (2, 1.0, 3.0), (2, 1.0, 12.0)] {
+        let means = means(power, 500.0, [0.05, height]);
+        let (mut late_ps, mut common_ps, mut sd_ps, mut count) = (0.0, 0.0, 0.0, 0.0);
+        for _ in 0..4 * DRAWS {
+            let values: Vec<f64> = means.iter().map(|mean| Poisson::new(*mean).unwrap().sample(&mut random)).collect();
+            let bins = Bins { first_ps: FAR_PS, dt_ps: DT_PS, values: &values, noise: Noise::Counts };
+            // Those that do not rise by the threshold are not timed.
+            if first_rise(&bins, SIGMA_PS, 5.0).is_none() {
+                continue;
+            }
+            let one = limits(&bins, &rises)[k];
+            late_ps += one.time_ps - FAR_PS - 500.0;
+            common_ps += one.common_ps;
+            sd_ps += one.sd_ps;
+            count += 1.0;
+        }
+        let [late_ps, common_ps, sd_ps] = [late_ps, common_ps, sd_ps].map(|sum| sum / count);
+        println!("power {power}, height {height}: late by {late_ps:.2} ps, common {common_ps:.2} ps, sd {sd_ps:.2} ps");
+        assert!(late_ps.abs() < common_ps + 2.0 * sd_ps / f64::sqrt(count), "{late_ps} and {common_ps} ps");
+    }
+}
+
 #[test]
 fn background_alone_has_no_first_return() {
     let mut random = ChaCha8Rng::seed_from_u64(12);
