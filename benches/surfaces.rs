@@ -8,17 +8,21 @@
 //! `cargo bench --bench surfaces -- write FOLDER 1 32 2000 3000` writes such scans as `THING-PHOTONS-SEED.mat`, with
 //! points of the true surface beside each (`.csv`: x, y, z, normal), and runs nothing: for other programs.
 
-#[allow(dead_code, unused_imports, reason = "the tests use more of it")]
-#[path = "../tests/it/first_returns.rs"]
-mod first_returns;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/hidden_things.rs"]
+mod hidden_things;
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/relay_scene.rs"]
 mod relay_scene;
+#[allow(dead_code, reason = "the tests use more of it")]
+#[path = "../tests/it/surface_study.rs"]
+mod surface_study;
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use first_returns::{Nodes, Results, Tally, capture, median, results, thing};
+use hidden_things::thing;
+use surface_study::{Nodes, Results, Tally, capture, median, results};
 
 const THINGS: [&str; 8] = ["sphere", "plate", "box", "sphere and plate", "letter", "stairs", "wavy", "saddle"];
 const PHOTONS: [f64; 3] = [300.0, 3000.0, 30_000.0];

@@ -1,5 +1,7 @@
 //! Symmetric matrices whose entries lie in a band about the diagonal, as those of unknowns on a grid do.
 
+use nalgebra::DVectorView;
+
 /// The lower half of a symmetric matrix, a row after another: entries further from the diagonal than `width` are zero.
 #[derive(Clone)]
 pub struct Band {
@@ -60,15 +62,9 @@ impl Band {
     }
 }
 
-/// Sum of products, in eight sums side by side: a single one waits for each addition.
+/// Sum of products. The library's has several sums side by side; a single one waits for each addition.
 fn dot(left: &[f64], right: &[f64]) -> f64 {
-    let ((lefts, left), (rights, right)) = (left.as_chunks::<8>(), right.as_chunks::<8>());
-    let mut sums = [0.0; 8];
-    for (left, right) in lefts.iter().zip(rights) {
-        sums.iter_mut().zip(left.iter().zip(right)).for_each(|(sum, (a, b))| *sum += a * b);
-    }
-    let rest: f64 = left.iter().zip(right).map(|(a, b)| a * b).sum();
-    sums.iter().sum::<f64>() + rest
+    DVectorView::from_slice(left, left.len()).dot(&DVectorView::from_slice(right, right.len()))
 }
 
 /// The factor `L` of a positive definite matrix `L L'`.

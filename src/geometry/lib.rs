@@ -122,6 +122,7 @@ pub mod joint;
 pub mod labelling;
 pub mod loss;
 pub mod maximum_likelihood;
+mod median;
 pub mod mirror;
 pub mod multilateration;
 mod neighbours;

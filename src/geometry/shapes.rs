@@ -44,6 +44,7 @@ use self::core::{Core, Covariance, UNKNOWNS, Unknowns};
 use super::Point;
 use super::dense::Definite;
 use super::first_return::{FirstLight, Kind as Part};
+use super::median::median;
 use errors::{Errors, Smooth};
 use grow::Wall;
 
@@ -370,10 +371,4 @@ fn shape(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Shape> {
 fn spread(members: &[u32], most: usize) -> Vec<u32> {
     let step = members.len().div_ceil(most).max(1);
     members.iter().step_by(step).copied().collect()
-}
-
-/// The middle one.
-pub(crate) fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

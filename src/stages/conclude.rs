@@ -97,8 +97,7 @@ pub struct Context {
     images: Vec<Image>,
     /// Of `first_returns`; `None` where it did not run.
     surface: Option<Vec<SurfacePoint>>,
-    /// Of `first_returns` too; `None` where it is not given.
-    omissions: Option<Vec<Omission>>,
+    omissions: Vec<Omission>,
     /// Of `shape`; `None` where it did not run.
     shapes: Option<Vec<Shape>>,
     /// Of `mesh`; `None` where it did not run.
@@ -158,7 +157,7 @@ impl Stage for Conclude {
             searches: searches.unwrap_or_default(),
             images: beside.rows("images")?.unwrap_or_default(),
             surface,
-            omissions: beside.rows("omissions")?,
+            omissions: beside.rows("omissions")?.unwrap_or_default(),
             shapes: beside.rows("shapes")?,
             meshes: beside.rows("meshes")?,
         })
@@ -174,8 +173,7 @@ impl Apply for Conclude {
         let best: Vec<&Patch> = patches.iter().filter(|patch| patch.alternative == 0).collect();
         let surface = context.surface.as_deref().map(|points| {
             let (shapes, meshes) = (context.shapes.as_deref(), context.meshes.as_deref());
-            let omissions = context.omissions.as_deref();
-            relay_wall::Surface { points, omissions, shapes, meshes }
+            relay_wall::Surface { points, omissions: &context.omissions, shapes, meshes }
         });
         let mut decisions = relay_wall::decisions(&context.searches, &context.images, surface);
         if context.is_from_onsets {

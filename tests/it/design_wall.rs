@@ -4,7 +4,8 @@ use std::process::Command;
 
 use serde_json::Value;
 
-use crate::first_returns::{capture, median, results, thing};
+use crate::hidden_things::thing;
+use crate::surface_study::{capture, median, results};
 
 const WALL: &str = include_str!("../../pipelines/scenes/wall.toml");
 

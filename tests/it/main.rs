@@ -25,6 +25,7 @@ mod formats;
 mod guide;
 mod hidden;
 mod hidden_plane;
+mod hidden_things;
 mod house;
 mod image;
 mod index;
@@ -78,6 +79,7 @@ mod simulate;
 mod sizes;
 mod small_rooms;
 mod surface;
+mod surface_study;
 mod surplus;
 #[allow(dead_code, reason = "the study uses more of it")]
 mod system_calls;

@@ -8,8 +8,9 @@ use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use periscope::formats::npy;
 use periscope::tables::SurfacePoint;
 
-use crate::first_returns::{HOLDS, LIGHT, PITCH_M, Thing, capture, cuboid, median, rows, sphere};
+use crate::hidden_things::{LIGHT, PITCH_M, Thing, cuboid, sphere};
 use crate::relay_scene::{FWHM_PS, periscope, response};
+use crate::surface_study::{HOLDS, capture, median, rows};
 
 type Point = Point3<f64>;
 

@@ -39,8 +39,6 @@ pub enum Kind {
 pub struct Field {
     /// The place about which it is.
     pub at: Point,
-    /// The place from which it is read.
-    seen: Point,
     /// Length there.
     pub length_m: f64,
     /// Direction in which lengths grow.
@@ -50,6 +48,8 @@ pub struct Field {
     /// Curvature of the lengths along these.
     bend: Matrix2<f64>,
     round: f64,
+    /// The place from which it is read.
+    seen: Point,
     fitted: Arc<Fitted>,
 }
 

@@ -14,6 +14,7 @@ use super::local::Sample;
 use super::{Face, Lit, Place, Return, Scan};
 use crate::Point;
 use crate::axes::across;
+use crate::median::median;
 use crate::neighbours::neighbours;
 
 /// Squares along the radius of a zone: so many or more.
@@ -103,8 +104,8 @@ fn squares(scan: &Scan, cancel: &Cancel) -> Option<Vec<Vec<u32>>> {
     }
     let seen: Vec<Point> = scan.places.iter().map(|place| place.seen).collect();
     let gap_m = |near: &Vec<u32>| (seen[near[1] as usize] - seen[near[0] as usize]).norm();
-    let spacing_m = middle(neighbours(&seen, 2, cancel).iter().map(gap_m).collect());
-    let zone_m = scan.zone_m(middle(scan.places.iter().map(|place| 0.5 * place.returns[0].length_m).collect()));
+    let spacing_m = median(neighbours(&seen, 2, cancel).iter().map(gap_m).collect());
+    let zone_m = scan.zone_m(median(scan.places.iter().map(|place| 0.5 * place.returns[0].length_m).collect()));
     let kept = (seen.len() as f64 / KEPT).sqrt();
     let spacings = (zone_m / ACROSS / spacing_m).min(kept).floor();
     if spacings < 2.0 {
@@ -127,11 +128,6 @@ fn squares(scan: &Scan, cancel: &Cancel) -> Option<Vec<Vec<u32>>> {
         }
     }
     Some(squares.into_values().flatten().collect())
-}
-
-fn middle(mut values: Vec<f64>) -> f64 {
-    let at = values.len() / 2;
-    *values.select_nth_unstable_by(at, f64::total_cmp).1
 }
 
 fn are_alike(scan: &Scan, a: &Place, b: &Place) -> bool {

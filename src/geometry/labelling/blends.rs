@@ -21,6 +21,7 @@ use super::chances::{Chances, Class};
 use super::problem::{Arrival, Profile, SensorProfiles, Verdicts};
 use super::scene::Prediction;
 use crate::association::Candidate;
+use crate::median::median;
 
 /// How strong light of each class is.
 pub(super) struct Blends<'a> {
@@ -103,9 +104,4 @@ fn blend_probability(chance: f64, off_ps: f64, sd_ps: f64, pull_ps: f64) -> f64 
     let single = (1.0 - chance) * normal(off_ps) / root;
     // Neither where the arrival lies on the other side.
     if both + single > 0.0 { both / (both + single) } else { 0.0 }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }

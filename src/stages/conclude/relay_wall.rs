@@ -11,7 +11,7 @@ const NAMED: usize = 6;
 #[derive(Clone, Copy)]
 pub(super) struct Surface<'a> {
     pub points: &'a [SurfacePoint],
-    pub omissions: Option<&'a [Omission]>,
+    pub omissions: &'a [Omission],
     pub shapes: Option<&'a [Shape]>,
     pub meshes: Option<&'a [Mesh]>,
 }
@@ -21,7 +21,7 @@ pub(super) fn decisions(searches: &[JointSearch], images: &[Image], surface: Opt
     let mut decisions: Vec<Decision> = searches.iter().map(verdict).collect();
     let is_extended = searches.is_empty() || searches.iter().any(|search| &*search.verdict == "extended-object");
     if let Some(Surface { points, omissions, shapes, meshes }) = surface.filter(|_| is_extended) {
-        decisions.push(points_of_surface(points, omissions.unwrap_or_default(), searches.is_empty()));
+        decisions.push(points_of_surface(points, omissions, searches.is_empty()));
         if !points.is_empty() {
             decisions.extend(shapes.map(|shapes| shapes_of_surface(shapes, points.len())));
             decisions.extend(meshes.map(meshes_of_surface));
@@ -80,15 +80,15 @@ fn points_of_surface(points: &[SurfacePoint], omissions: &[Omission], is_presume
         }
         None => "light rises in too few histograms, or at times that no surface has".to_owned(),
     };
-    let evidence = match without_point(omissions) {
-        Some(without) => format!("{evidence}; {without}"),
-        None => evidence,
-    };
+    let evidence = format!("{evidence}{}", without_point(omissions));
     decision("surface", &chosen, &evidence, "more photons, or more points of the wall")
 }
 
-/// How many points of the wall have no point of a surface, by reason; `None` where all have one.
-fn without_point(omissions: &[Omission]) -> Option<String> {
+/// How many points of the wall have no point of a surface, by reason; nothing where all have one.
+fn without_point(omissions: &[Omission]) -> String {
+    if omissions.is_empty() {
+        return String::new();
+    }
     let reasons = [
         ("no-rise", "no light that rises"),
         ("untimed", "light that cannot be timed"),
@@ -102,7 +102,7 @@ fn without_point(omissions: &[Omission]) -> Option<String> {
         (number > 0).then(|| format!("{number} with {words}"))
     });
     let parts = parts.collect::<Vec<_>>().join(", ");
-    (!omissions.is_empty()).then(|| format!("without a point, in `surface.omissions`: {parts}"))
+    format!("; without a point, in `surface.omissions`: {parts}")
 }
 
 /// What these points lie on.

@@ -136,7 +136,7 @@ fn the_surface_of_an_extended_object_follows_its_verdict() {
         let search = JointSearch { verdict: verdict.into(), ..JointSearch::default() };
         let point = SurfacePoint { kind: "smooth".into(), sd_m: 0.002, ..SurfacePoint::default() };
         let surface = Some(vec![point; points]);
-        let omissions = Some(vec![Omission { reason: "no-rise".into(), ..Omission::default() }; 2]);
+        let omissions = vec![Omission { reason: "no-rise".into(), ..Omission::default() }; 2];
         let rows = decisions(&Context { searches: vec![search], surface, omissions, ..Context::default() });
         rows.into_iter().find(|row| &*row.what == "surface")
     };
