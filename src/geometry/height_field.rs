@@ -58,7 +58,7 @@ const MOST_NODES: f64 = 2500.0;
 const MARGIN: f64 = 0.6;
 const ENDS: usize = 50;
 /// By how much a surface may turn over a zone, as the likeliest size of curvatures says: more is no smooth surface.
-const SMOOTH_RAD: f64 = 0.2;
+const SMOOTH_RAD: f64 = 0.25;
 /// Chi-square over its number, beyond which lengths are not explained, in standard deviations.
 const EXPLAINED: f64 = 3.1;
 

@@ -176,11 +176,8 @@ impl<'a> Plan<'a> {
             let (id, tables) = (&self.tables[i].id, self.stored_tables(i));
             // A part from a time when the table was not kept has only its rejects.
             let whole = |part: &PartRecord| tables.iter().all(|(table, _)| part.files.contains_key(table));
-            let part = |lineage: &Option<Digest>| match lineage {
-                Some(lineage) => Ok(self.shelf.part(id, lineage)?.filter(whole)),
-                None => Ok(None),
-            };
-            let present = lineages.iter().map(part).collect::<Result<Vec<_>, StoreError>>()?;
+            let stands = |part: Option<PartRecord>| part.filter(whole);
+            let present = self.shelf.parts(id, &lineages)?.into_iter().map(stands).collect();
             self.tables[i].lineages = lineages;
             self.tables[i].present = present;
         }

@@ -44,10 +44,10 @@ const DECLINE_SD: f64 = 0.05;
 const SLOPE_SD: f64 = 0.1;
 /// Fisher steps, halvings of a step, and turns of the window about its first return.
 const STEPS: usize = 30;
-const HALVINGS: usize = 10;
+const HALVINGS: i32 = 10;
 const TURNS: usize = 4;
 /// Gain of a step, in logarithms of the likelihood, that ends the fit.
-const DONE: f64 = 1e-6;
+const DONE: f64 = 1e-3;
 /// Least number of bins in the window.
 const LEAST: usize = 8;
 /// Farthest step of the first return from its start, in standard deviations of the response.
@@ -152,20 +152,15 @@ pub struct Window<'a> {
     start_ps: f64,
     /// Least background.
     least: f64,
-    /// Unknowns that fits with a given time start from, where another law or window has had a fit.
-    start: Option<Unknowns>,
+    /// The fit of a step. Fits with a given time start from there.
+    step: Option<Likelihood>,
 }
 
 /// First return, background, height, slope.
 type Unknowns = [f64; 4];
 
-/// A first return, and the unknowns that it was fitted with.
-struct Timed {
-    first: FirstReturn,
-    unknowns: Unknowns,
-}
-
 /// Logarithm of the likelihood at some unknowns, its gradient, and the lower half of the information.
+#[derive(Clone, Debug)]
 struct Likelihood {
     unknowns: Unknowns,
     logarithm: f64,
@@ -177,16 +172,18 @@ impl<'a> Window<'a> {
     /// About the first return near a time; `None` where there is none.
     #[must_use]
     pub fn about(bins: &Bins<'a>, rises: &'a Rises, background: Background, start_ps: f64) -> Option<Self> {
-        let step = rises.first();
+        let law = rises.first();
         let mut window = Self::new(bins, rises, background, start_ps)?;
+        let mut step = window.fit(law, window.start(law), None)?;
         for _ in 0..TURNS {
-            let unknowns = window.fit(step, window.start(step), None)?.unknowns;
-            window.start = Some(unknowns);
-            if (unknowns[0] - window.start_ps).abs() < bins.dt_ps {
+            let [time_ps, ..] = step.unknowns;
+            if (time_ps - window.start_ps).abs() < bins.dt_ps {
                 break;
             }
-            window = Self { start: Some(unknowns), ..Self::new(bins, rises, background, unknowns[0])? };
+            window = Self::new(bins, rises, background, time_ps)?;
+            step = window.fit(law, window.start(law), None)?;
         }
+        window.step = Some(step);
         Some(window)
     }
 
@@ -199,7 +196,9 @@ impl<'a> Window<'a> {
     /// Those of a step, an edge and a corner.
     #[must_use]
     pub fn first_returns(&self) -> [Option<FirstReturn>; 3] {
-        self.rises.limits().map(|law| self.likeliest(law))
+        let [_, edge, corner] = self.rises.limits();
+        let step = self.step.as_ref().and_then(|step| self.first_return_of(step, None));
+        [step, self.likeliest(edge), self.likeliest(corner)]
     }
 
     /// Of each of these surfaces, one step of Fisher scoring from a time that others tell, all else being fitted there:
@@ -208,20 +207,21 @@ impl<'a> Window<'a> {
     #[must_use]
     pub fn first_returns_near(&self, laws: &[Vec<Face>], time_ps: f64) -> Vec<Option<FirstReturn>> {
         let near = Self::new(&self.all, self.rises, self.background, time_ps);
-        let mut start = self.start;
+        let mut start = self.step.as_ref().map(|step| step.unknowns);
         let mut of = |faces: &Vec<Face>| {
             let window = near.as_ref()?;
             let law = self.rises.law(faces, window.end_ps() - time_ps);
-            let first = window.timed(&law, start.unwrap_or_else(|| window.start(&law)), Some(time_ps))?;
+            let fit = window.fit(&law, start.unwrap_or_else(|| window.start(&law)), Some(time_ps))?;
             // Laws differ little: what one was fitted with is next to what others are.
-            start = Some(first.unknowns);
-            Some(first.first).filter(|first| (first.time_ps - time_ps).abs() < self.rises.sigma_ps())
+            start = Some(fit.unknowns);
+            let first = window.first_return_of(&fit, Some(time_ps))?;
+            Some(first).filter(|first| (first.time_ps - time_ps).abs() < self.rises.sigma_ps())
         };
         laws.iter().map(|faces| of(faces).or_else(|| self.first_return(faces))).collect()
     }
 
     fn likeliest(&self, law: &Rise) -> Option<FirstReturn> {
-        Some(self.timed(law, self.start(law), None)?.first)
+        self.first_return_of(&self.fit(law, self.start(law), None)?, None)
     }
 
     fn end_ps(&self) -> f64 {
@@ -243,7 +243,7 @@ impl<'a> Window<'a> {
         let at_start = background.at(start_ps);
         let before = (from..to).map(|n| background.at(bins.first_ps + n as f64 * bins.dt_ps) / at_start).collect();
         let bins_here = Bins { first_ps, values: &bins.values[from..to], ..*bins };
-        Some(Self { all: *bins, bins: bins_here, rises, background, before, start_ps, least, start: None })
+        Some(Self { all: *bins, bins: bins_here, rises, background, before, start_ps, least, step: None })
     }
 
     /// The law in each bin where light begins at a time.
@@ -266,27 +266,36 @@ impl<'a> Window<'a> {
         for ((value, before), [light, next, rise, next_rise]) in self.bins.values.iter().zip(&self.before).zip(law) {
             let rate = background * before + height * light + slope * next;
             let slopes = [-(height * rise + slope * next_rise), *before, *light, *next];
-            let weight = match self.bins.noise {
+            let (by_rate, weight) = match self.bins.noise {
                 Noise::Counts => {
-                    let mean = rate.max(1e-9);
+                    // Below the floor, where the rate may be negative, the logarithm goes on as its parabola there.
+                    let mean = rate.max(floor);
+                    let below = (rate - mean) / mean;
                     // Most bins of weak light are empty, and need no logarithm.
-                    *logarithm += if *value == 0.0 { -mean } else { value * mean.ln() - mean };
-                    1.0 / rate.max(floor)
+                    if *value != 0.0 {
+                        *logarithm += value * (mean.ln() + below - 0.5 * below * below);
+                    }
+                    *logarithm -= rate;
+                    (value * (1.0 - below) / mean - 1.0, 1.0 / mean)
                 }
                 Noise::Gauss { sd } => {
-                    *logarithm -= 0.5 * ((value - rate) / sd).powi(2);
-                    1.0 / (sd * sd)
+                    let score = (value - rate) / sd;
+                    *logarithm -= 0.5 * score * score;
+                    (score / sd, 1.0 / (sd * sd))
                 }
             };
             for a in 0..4 {
-                gradient[a] += (value - rate) * weight * slopes[a];
+                gradient[a] += by_rate * slopes[a];
                 (0..=a).for_each(|b| information[a][b] += weight * slopes[a] * slopes[b]);
             }
         }
-        let precision = (SLOPE_SD * height).powi(-2);
-        *logarithm -= 0.5 * ((slope / height - self.slope()) / SLOPE_SD).powi(2);
-        information[3][3] += precision;
-        gradient[3] -= precision * (slope - self.slope() * height);
+        let off = (slope / height - self.slope()) / SLOPE_SD;
+        *logarithm -= 0.5 * off * off;
+        let by = prior_slopes(unknowns);
+        for a in 2..4 {
+            gradient[a] -= off * by[a];
+            (2..=a).for_each(|b| information[a][b] += by[a] * by[b]);
+        }
         likelihood
     }
 
@@ -313,13 +322,19 @@ impl<'a> Window<'a> {
             if given_ps.is_some() {
                 information[0][0] = f64::INFINITY;
             }
+            // At its least, the background stays there while the likelihood would have it lower.
+            if best.unknowns[1] <= self.least && best.gradient[1] < 0.0 {
+                information[1][1] = f64::INFINITY;
+            }
             let step = solve(&root(information)?, best.gradient);
             let gain: f64 = step.iter().zip(best.gradient).map(|(step, slope)| 0.5 * step * slope).sum();
             if gain < DONE {
+                // So small a step needs no other look at the likelihood.
+                best.unknowns.iter_mut().zip(step).for_each(|(unknown, step)| *unknown += step);
                 break;
             }
-            let next = (0..HALVINGS).find_map(|halving| {
-                let share = 0.5_f64.powi(halving as i32);
+            let next = (0..HALVINGS).take_while(|halving| gain * 0.5_f64.powi(*halving) > DONE).find_map(|halving| {
+                let share = 0.5_f64.powi(halving);
                 let mut next: Unknowns = std::array::from_fn(|a| best.unknowns[a] + share * step[a]);
                 next[1] = next[1].max(self.least);
                 let is_near = (next[0] - self.start_ps).abs() < FARTHEST * self.rises.sigma_ps();
@@ -341,24 +356,29 @@ impl<'a> Window<'a> {
         Some(best)
     }
 
-    /// The first return of the likeliest unknowns; with a time that is given, one step from it.
-    fn timed(&self, law: &Rise, start: Unknowns, given_ps: Option<f64>) -> Option<Timed> {
-        let best = self.fit(law, start, given_ps)?;
-        let root = root(best.information)?;
-        let variance = solve(&root, [1.0, 0.0, 0.0, 0.0])[0];
-        let [time_ps, _, height, _] = best.unknowns;
+    /// The first return of the likeliest unknowns; with a time that was given, one step from it.
+    fn first_return_of(&self, fit: &Likelihood, given_ps: Option<f64>) -> Option<FirstReturn> {
+        let root = root(fit.information)?;
+        let covariances = solve(&root, [1.0, 0.0, 0.0, 0.0]);
+        let [variance, ..] = covariances;
+        let [time_ps, _, height, _] = fit.unknowns;
         // What the prior of the slope moves, counts against it.
-        let by_slope_ps = solve(&root, [1.0, 0.0, 0.0, 0.0])[3] / (SLOPE_SD * SLOPE_SD * height);
-        let step_ps = given_ps.map_or(0.0, |_| solve(&root, best.gradient)[0]);
-        let first = FirstReturn {
+        let by = prior_slopes(fit.unknowns);
+        let by_slope_ps = (2..4).map(|a| covariances[a] * by[a]).sum::<f64>() / SLOPE_SD;
+        let step_ps = given_ps.map_or(0.0, |_| solve(&root, fit.gradient)[0]);
+        Some(FirstReturn {
             time_ps: time_ps + step_ps,
             sd_ps: variance.sqrt(),
             height,
             common_ps: (by_slope_ps * DECLINE_SD).hypot(variance / self.rises.sigma_ps()),
-            log_likelihood: best.logarithm,
-        };
-        Some(Timed { first, unknowns: best.unknowns })
+            log_likelihood: fit.logarithm,
+        })
     }
+}
+
+/// By how many standard deviations of its prior the slope over the height changes with each unknown.
+fn prior_slopes([_, _, height, slope]: Unknowns) -> Unknowns {
+    [0.0, 0.0, -slope / (height * height * SLOPE_SD), 1.0 / (height * SLOPE_SD)]
 }
 
 /// Lower Cholesky factor of a matrix whose lower half is given; `None` where it is not positive definite.

@@ -47,7 +47,7 @@ pub struct Context {
 
 impl Stage for FitMeshes {
     const KIND: &'static str = "mesh";
-    const VERSION: u32 = 4;
+    const VERSION: u32 = 5;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: true }];
     const SIDES: &'static [Side] = &[Side { name: "vertices", schema: Vertex::schema }];

@@ -197,23 +197,14 @@ impl Shelf {
         folder.join(format!("{}{}-{}", sweep::UNFINISHED, lock::mark(), self.temporary.fetch_add(1, Ordering::Relaxed)))
     }
 
-    /// Record of a part, if it is complete.
+    /// Records of the parts with these lineages, of those that are complete.
     ///
     /// # Errors
-    /// When its record is damaged, or a file cannot be looked at.
-    pub fn part(&self, stage: &StageId, lineage: &Digest) -> Result<Option<PartRecord>, StoreError> {
+    /// When a record is damaged, or a file cannot be looked at.
+    pub fn parts(&self, stage: &StageId, lineages: &[Option<Digest>]) -> Result<Vec<Option<PartRecord>>, StoreError> {
         let folder = self.root().join(stage.folder());
-        let Some(record) = record::read::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else {
-            return Ok(None);
-        };
-        for (table, file) in &record.files {
-            let path = folder.join(format!("part-{lineage}.{table}.parquet"));
-            let there = fs::if_there(fs::metadata(&path)).at("read", &path)?;
-            if there.is_none_or(|metadata| metadata.len() != file.bytes) {
-                return Ok(None);
-            }
-        }
-        Ok(Some(record))
+        let part = |lineage: &Option<Digest>| lineage.map_or(Ok(None), |lineage| part(&folder, lineage));
+        lineages.iter().map(part).collect()
     }
 
     /// Starts a part of these tables.
@@ -222,7 +213,7 @@ impl Shelf {
     /// When its files cannot be created.
     pub fn begin(&self, stage: &StageId, tables: &[(String, SchemaRef)]) -> Result<PartWriter<'_>, StoreError> {
         let folder = self.root().join(stage.folder());
-        self.describe(stage)?;
+        self.describe(&folder, stage)?;
         let mut writers = Vec::new();
         for (table, schema) in tables {
             let path = self.temporary(&folder);
@@ -232,9 +223,8 @@ impl Shelf {
     }
 
     /// Records the stage of a folder, if it is not recorded yet.
-    pub(super) fn describe(&self, stage: &StageId) -> Result<(), StoreError> {
-        let folder = self.root().join(stage.folder());
-        fs::create_dir_all(&folder).at("create", &folder)?;
+    pub(super) fn describe(&self, folder: &Path, stage: &StageId) -> Result<(), StoreError> {
+        fs::create_dir_all(folder).at("create", folder)?;
         let path = folder.join("stage.json");
         if fs::is_there(&path).at("read", &path)? { Ok(()) } else { self.write_json(&path, stage) }
     }
@@ -284,6 +274,20 @@ impl Shelf {
         let (path, record) = (self.part_file(stage, &part.lineage, table), part.files[table].clone());
         move || Ok(Box::new(file::read_recorded(&path, &record, rows)?))
     }
+}
+
+fn part(folder: &Path, lineage: Digest) -> Result<Option<PartRecord>, StoreError> {
+    let Some(record) = record::read::<PartRecord>(&folder.join(format!("part-{lineage}.json")))? else {
+        return Ok(None);
+    };
+    for (table, file) in &record.files {
+        let path = folder.join(format!("part-{lineage}.{table}.parquet"));
+        let there = fs::if_there(fs::metadata(&path)).at("read", &path)?;
+        if there.is_none_or(|metadata| metadata.len() != file.bytes) {
+            return Ok(None);
+        }
+    }
+    Ok(Some(record))
 }
 
 /// Batches of one table of one part.

@@ -38,9 +38,10 @@ impl Shelf {
     ) -> Result<TableRecord, StoreError> {
         let lineage = TableRecord::lineage_of(parts.iter().map(|part| &part.lineage));
         let record = TableRecord { lineage, stage: stage.clone(), parts };
-        let folder = self.root().join(stage.folder());
+        let name = stage.folder();
+        let folder = self.root().join(&name);
         let whole = folder.join(format!("table-{lineage}"));
-        self.describe(stage)?;
+        self.describe(&folder, stage)?;
         let part = |part: &PartRecord, table: &str| folder.join(format!("part-{}.{table}.parquet", part.lineage));
         let linked = |i: usize, table: &str| {
             let view_file = whole.join(table).join(format!("part-{i:05}.parquet"));
@@ -64,7 +65,7 @@ impl Shelf {
             self.replace(&temporary, &whole)?;
         }
         for (table, view) in views {
-            let target = PathBuf::from(".shelf").join(stage.folder()).join(format!("table-{lineage}")).join(table);
+            let target = PathBuf::from(".shelf").join(&name).join(format!("table-{lineage}")).join(table);
             self.show(view, &target)?;
         }
         Ok(record)

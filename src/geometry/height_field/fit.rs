@@ -8,8 +8,9 @@ use crate::Point;
 use crate::band::{Band, Factor};
 use crate::shapes::Sighting;
 
-/// Sizes of curvatures that are tried, in turn (1/m). The largest is that of what has edges at each node.
-const BENDS_PER_M: [f64; 7] = [16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25];
+/// Sizes of curvatures that are tried, in turn (1/m): a stiff surface finds its place, and then bends. The largest is
+/// that of what has edges at each node.
+const BENDS_PER_M: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 /// By so many of these sizes a surface may bend more than is likeliest: that would smooth edges, and what is bent alike
 /// all over, by more than its error bars say.
 const LOOSER: usize = 2;
@@ -22,11 +23,13 @@ const PATCH_M: f64 = 0.05;
 const HEIGHT_SD_M: f64 = 10.0;
 /// Standard deviations beyond which a length counts by its distance, not by its square (Huber).
 const OUTLIER: f64 = 4.0;
-/// Rounds of least squares, the change of the objective that ends them, and dampings of a step.
-const ROUNDS: usize = 40;
-const DONE: f64 = 0.3;
-const DAMPING: f64 = 1e-3;
+/// Newton's steps, the gain that ends them, dampings of a step, and the share of the gain that a step promises from
+/// which on damping falls.
+const STEPS: usize = 40;
+const DONE: f64 = 1.0;
+const LEAST_DAMPING: f64 = 1e-5;
 const MOST_DAMPING: f64 = 1e6;
+const FOLLOWED: f64 = 0.75;
 
 /// Lengths from places to a surface over a grid.
 pub struct Problem<'a> {
@@ -50,22 +53,6 @@ impl<'a> Problem<'a> {
             bends: grid.bends(),
             patch: (grid.spacing_m / PATCH_M).powi(2),
         }
-    }
-
-    /// The surface that reaches furthest, and lies behind no length.
-    fn envelope(&self) -> Vec<f64> {
-        let height = |node: usize| {
-            let place = self.grid.place(node);
-            let below = self.places.iter().zip(&self.lengths_m).filter_map(|(seen, length_m)| {
-                let square = length_m * length_m - (place - seen.coords.xy()).norm_squared();
-                (square > 0.0).then(|| seen.z - square.sqrt())
-            });
-            below.fold(f64::INFINITY, f64::min)
-        };
-        let mut heights: Vec<f64> = (0..self.grid.count()).into_par_iter().map(height).collect();
-        let least = heights.iter().copied().filter(|height| height.is_finite()).fold(0.0, f64::min);
-        heights.iter_mut().filter(|height| !height.is_finite()).for_each(|height| *height = least);
-        heights
     }
 
     /// The point of the surface next to each place. Those at heights before, if there are any, are near.
@@ -97,62 +84,73 @@ impl Fit {
     pub fn loose(problem: &Problem<'_>, cancel: &Cancel) -> Option<(f64, Self)> {
         let mut fits: Vec<Self> = Vec::new();
         let mut best = 0;
-        let mut heights_m = problem.envelope();
         for (n, bend_per_m) in BENDS_PER_M.into_iter().enumerate() {
-            let before = fits.last().map_or(&[][..], |fit| &fit.feet);
-            let fit = Self::new(problem, heights_m.clone(), before, bend_per_m, cancel)?;
-            heights_m.clone_from(&fit.heights_m);
-            fits.push(fit);
-            let gain = fits[n].evidence - fits[best].evidence;
-            if gain > 0.0 {
+            let fit = match fits.last() {
+                Some(fit) => Self::at(problem, fit.heights_m.clone(), &fit.feet, bend_per_m),
+                None => Self::at(problem, vec![0.0; problem.grid.count()], &[], bend_per_m),
+            };
+            fits.push(fit.likeliest(problem, cancel)?);
+            if fits[n].evidence > fits[best].evidence {
                 best = n;
-            } else if gain < -LESS {
+            } else if fits[n].evidence < fits[best].evidence - LESS && n >= best + LOOSER {
                 break;
             }
         }
-        (best > 0).then(|| (BENDS_PER_M[best], fits.swap_remove(best.saturating_sub(LOOSER))))
+        let likeliest_per_m = BENDS_PER_M[best] * f64::powf(2.0, summit(&fits, best)?);
+        let loose = (best + LOOSER).min(fits.len() - 1);
+        Some((likeliest_per_m, fits.swap_remove(loose)))
     }
 
-    /// From these heights on, with the feet before them, if there are any.
-    fn new(
-        problem: &Problem<'_>,
-        heights_m: Vec<f64>,
-        before: &[Foot],
-        bend_per_m: f64,
-        cancel: &Cancel,
-    ) -> Option<Self> {
-        let mut fit = Self::at(problem, heights_m, before, bend_per_m);
-        let mut damping = DAMPING;
-        for _ in 0..ROUNDS {
+    /// The likeliest with these curvatures from other heights on.
+    #[cfg(test)]
+    pub fn again(&self, problem: &Problem<'_>, heights_m: Vec<f64>, cancel: &Cancel) -> Option<Self> {
+        Self::at(problem, heights_m, &[], self.bend_per_m).likeliest(problem, cancel)
+    }
+
+    fn likeliest(mut self, problem: &Problem<'_>, cancel: &Cancel) -> Option<Self> {
+        let mut damping = LEAST_DAMPING;
+        for _ in 0..STEPS {
             cancel.check();
-            let (information, gradient) = (fit.information(problem), fit.gradient(problem));
-            let before = fit.square + fit.prior;
-            let next = loop {
-                let mut step = gradient.clone();
-                information.clone().damped(damping).factor()?.solve(&mut step);
-                let heights_m = fit.heights_m.iter().zip(&step).map(|(height, step)| height + step).collect();
-                let next = Self::at(problem, heights_m, &fit.feet, bend_per_m);
-                if next.square + next.prior < before {
-                    damping *= 0.2;
-                    break Some(next);
-                }
-                damping *= 5.0;
-                if damping > MOST_DAMPING {
-                    break None;
-                }
-            };
-            let Some(next) = next else { break };
-            let gain = before - next.square - next.prior;
-            fit = next;
+            let Some(next) = self.next(problem, &mut damping) else { break };
+            let gain = self.loss() - next.loss();
+            self = next;
             if gain < DONE {
                 break;
             }
         }
         let flat = vec![0.0; problem.grid.count()];
-        let before = prior(problem, &flat, bend_per_m).factor()?.log_determinant();
-        let after = fit.factor(problem)?.log_determinant();
-        fit.evidence = -0.5 * (fit.square + fit.prior + after - before);
-        Some(fit)
+        let before = prior(problem, &flat, self.bend_per_m).factor()?.log_determinant();
+        let after = self.factor(problem)?.log_determinant();
+        self.evidence = -0.5 * (self.loss() + after - before);
+        Some(self)
+    }
+
+    /// After a step that is damped until it gains; `None` if none does.
+    fn next(&self, problem: &Problem<'_>, damping: &mut f64) -> Option<Self> {
+        let (curvature, gradient) = (self.curvature(problem), self.gradient(problem));
+        while *damping < MOST_DAMPING {
+            if let Some(factor) = curvature.clone().damped(*damping).factor() {
+                let mut step = gradient.clone();
+                factor.solve(&mut step);
+                let promised: f64 = step.iter().zip(&gradient).map(|(step, slope)| step * slope).sum();
+                let heights_m = self.heights_m.iter().zip(&step).map(|(height, step)| height + step).collect();
+                let next = Self::at(problem, heights_m, &self.feet, self.bend_per_m);
+                let gain = self.loss() - next.loss();
+                if gain > FOLLOWED * promised {
+                    *damping = (*damping * 0.2).max(LEAST_DAMPING);
+                }
+                if gain > 0.0 {
+                    return Some(next);
+                }
+            }
+            *damping *= 5.0;
+        }
+        None
+    }
+
+    /// Twice the logarithm of the likelihood and the prior, with its sign changed.
+    pub fn loss(&self) -> f64 {
+        self.square + self.prior
     }
 
     fn at(problem: &Problem<'_>, heights_m: Vec<f64>, before: &[Foot], bend_per_m: f64) -> Self {
@@ -173,6 +171,24 @@ impl Fit {
     pub fn weight(&self, problem: &Problem<'_>, n: usize) -> f64 {
         let score = score(problem, &self.feet, n).abs();
         (OUTLIER / score).min(1.0) / problem.variances_m2[n]
+    }
+
+    /// Second derivatives of half the loss. Of lengths that are too long for the surface, how distances bend is in it:
+    /// on flat surfaces that is more than the information. Of those that are too short, it would be taken away, and the
+    /// matrix might be no longer positive.
+    fn curvature(&self, problem: &Problem<'_>) -> Band {
+        let mut curvature = self.information(problem);
+        for (n, foot) in self.feet.iter().enumerate() {
+            let off = self.weight(problem, n) * (problem.lengths_m[n] - foot.distance_m);
+            if off > 0.0 {
+                for (a, bends) in foot.nodes.iter().zip(problem.grid.bend_per_m(foot, &self.heights_m)) {
+                    for (b, bend) in foot.nodes.iter().zip(bends).filter(|(b, _)| **b <= *a) {
+                        curvature.add(*a as usize, *b as usize, -off * bend);
+                    }
+                }
+            }
+        }
+        curvature
     }
 
     fn information(&self, problem: &Problem<'_>) -> Band {
@@ -217,6 +233,14 @@ impl Fit {
     pub fn factor(&self, problem: &Problem<'_>) -> Option<Factor> {
         self.information(problem).factor()
     }
+}
+
+/// How far from the likeliest of some sizes, in steps, the summit of the parabola through it and its neighbours lies.
+/// `None` if it is the largest.
+fn summit(fits: &[Fit], best: usize) -> Option<f64> {
+    let after = fits[best].evidence - fits.get(best + 1)?.evidence;
+    let before = fits[best].evidence - best.checked_sub(1).map_or(f64::NEG_INFINITY, |before| fits[before].evidence);
+    Some(0.5 * (before - after) / (before + after)).filter(|_| before.is_finite()).or(Some(0.0))
 }
 
 /// What a length is off, over its standard deviation.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 use crate::Point;
 
@@ -93,6 +93,33 @@ impl Grid {
     pub fn facet_m(&self, heights_m: &[f64], node: usize) -> f64 {
         let bend_m = |step: usize| (heights_m[node + step] - 2.0 * heights_m[node] + heights_m[node - step]).abs();
         self.steps(node).map_or(0.0, |steps| steps.map(bend_m).iter().sum::<f64>() / 8.0)
+    }
+
+    /// Second derivatives of a foot's distance by the heights of its nodes. The foot slides over its triangle, along a
+    /// side or not at all, wherever it is nearest: so a distance is concave, and bends more the flatter the surface.
+    pub fn bend_per_m(&self, foot: &Foot, heights_m: &[f64]) -> [[f64; 3]; 3] {
+        let Foot { distance_m, nodes, shares, slope } = *foot;
+        let [a, b, c] = nodes.map(|node| self.place(node as usize));
+        let (ab, ac) = (b - a, c - a);
+        let area = ab.perp(&ac);
+        let (of_b, of_c) = (Vector2::new(ac.y, -ac.x) / area, Vector2::new(-ab.y, ab.x) / area);
+        let share_slopes = [-of_b - of_c, of_b, of_c];
+        let incline: Vector2<f64> = (0..3).map(|n| share_slopes[n] * heights_m[nodes[n] as usize]).sum();
+        let metric = Matrix2::identity() + incline * incline.transpose();
+        let along = |side: Vector2<f64>| side * side.transpose() / side.dot(&(metric * side));
+        let ways = match shares.map(|share| share > 0.0) {
+            [true, true, true] => metric.try_inverse().expect("a metric is positive"),
+            [true, true, false] => along(ab),
+            [true, false, true] => along(ac),
+            [false, true, true] => along(c - b),
+            _ => Matrix2::zeros(),
+        };
+        let pulls: [Vector2<f64>; 3] = [0, 1, 2].map(|n| incline * shares[n] + share_slopes[n] * (slope * distance_m));
+        let bend = |a: usize, b: usize| {
+            let still = shares[a] * shares[b] * (1.0 - slope * slope);
+            (still - pulls[a].dot(&(ways * pulls[b]))) / distance_m
+        };
+        [0, 1, 2].map(|a| [0, 1, 2].map(|b| bend(a, b)))
     }
 
     /// Curvatures of a surface at a node, as sums over nodes: along columns, along rows, and the mixed one of the cell

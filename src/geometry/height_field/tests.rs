@@ -3,6 +3,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
+use super::grid::Foot;
 use super::*;
 use crate::first_return::{FirstLight, Kind};
 use crate::shapes::tests::{COMMON_M, LAW_M, NOISE_M, ZONE_M, normal, smooth};
@@ -183,6 +184,75 @@ fn the_nearest_node_is_that_of_all() {
             assert_eq!(nodes.nearest(&place, near), nearest, "{place}, from {near:?}");
         }
     }
+}
+
+/// How far a surface lies behind each node of a grid along its axis, by search.
+fn heights(frame: &Frame, grid: &Grid, height_m: fn(f64, f64) -> f64) -> Vec<f64> {
+    let below = |node: usize, height: f64| {
+        let at = frame.point(&grid.point(node, height));
+        at.z > 0.7 - height_m(at.x.clamp(-0.25, 0.25), at.y.clamp(-0.25, 0.25))
+    };
+    let height = |node: usize| {
+        let (mut low, mut high) = (-0.5, 0.5);
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if below(node, middle) { low = middle } else { high = middle }
+        }
+        low
+    };
+    (0..grid.count()).map(height).collect()
+}
+
+/// Heights that start from a plane end where those do that start from the true surface.
+#[test]
+fn the_likeliest_heights_are_found_from_afar() {
+    for (name, height_m) in [("saddle", saddle as fn(f64, f64) -> f64), ("wavy", wavy)] {
+        let sightings = sightings(0, &relief(height_m));
+        let members = groups(&sightings).into_iter().max_by_key(Vec::len).unwrap();
+        let all: Vec<&Sighting> = members.iter().map(|n| &sightings[*n]).collect();
+        let frame = Frame::of(&all).unwrap();
+        let grid = frame.grid(&all, ZONE_M);
+        let places: Vec<Point> = all.iter().map(|one| frame.local(&one.seen)).collect();
+        let problem = Problem::new(&grid, &places, &all);
+        let (_, fit) = Fit::loose(&problem, &Cancel::never()).unwrap();
+        let near = fit.again(&problem, heights(&frame, &grid, height_m), &Cancel::never()).unwrap();
+        println!("{name}: {:.1} from a plane, {:.1} from the truth", fit.loss(), near.loss());
+        assert!(fit.loss() < near.loss() + 5.0, "{name}: {} and {}", fit.loss(), near.loss());
+    }
+}
+
+#[test]
+fn bends_of_a_distance_are_its_second_differences() {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let grid = Grid::new(Vector2::new(-0.1, -0.1), Vector2::new(0.1, 0.1), 0.05);
+    let (mut inside, mut on_sides) = (0, 0);
+    for n in 0..60 {
+        let size_m = if n % 2 == 0 { 1e-3 } else { 3e-2 };
+        let heights_m: Vec<f64> = (0..grid.count()).map(|_| size_m * normal(&mut random)).collect();
+        let place = Point::new(0.04 * normal(&mut random), 0.04 * normal(&mut random), 0.6);
+        let at = |heights_m: &[f64]| grid.nodes(heights_m).foot(&place, None);
+        let foot = at(&heights_m);
+        let bends = grid.bend_per_m(&foot, &heights_m);
+        let ends = |foot: &Foot| foot.shares.iter().filter(|share| **share > 0.0).count();
+        for (a, b) in (0..3).flat_map(|a| (0..=a).map(move |b| (a, b))) {
+            let feet = [(1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)].map(|(one, other)| {
+                let mut moved = heights_m.clone();
+                moved[foot.nodes[a] as usize] += one * 1e-5;
+                moved[foot.nodes[b] as usize] += other * 1e-5;
+                at(&moved)
+            });
+            // Where the foot leaves its triangle or its side, differences mix two bends.
+            if feet.iter().any(|moved| ends(moved) != ends(&foot)) {
+                continue;
+            }
+            let [far, near, one, other] = feet.map(|foot| foot.distance_m);
+            let second = (far + near - one - other) / 4e-10;
+            assert!((second - bends[a][b]).abs() < 0.02 * (1.0 + second.abs()), "{foot:?}: {second}, {}", bends[a][b]);
+            inside += usize::from(ends(&foot) == 3);
+            on_sides += usize::from(ends(&foot) == 2);
+        }
+    }
+    assert!(inside > 60 && on_sides > 30, "{inside} within a triangle, {on_sides} on a side");
 }
 
 /// The right half of a sphere's light is said to come from edges: the surface has the left half alone.

@@ -103,14 +103,11 @@ impl Rises {
         let unit = step_ps / sigma_ps;
         let columns = |first: usize, second: usize| {
             let sums: Vec<[f64; 2]> = (0..count).map(|n| ring([first, second].map(distance), n, unit)).collect();
-            let averaged = &averaged;
-            (0..count).map(move |at| {
-                let mut column = [0.0; 2];
-                for (n, value) in averaged.iter().enumerate().take(at + 1) {
-                    column.iter_mut().zip(sums[at - n]).for_each(|(column, sum)| *column += value * sum);
-                }
-                column
-            })
+            let mut columns = vec![[0.0; 2]; count];
+            for (n, value) in averaged.iter().enumerate().take(count) {
+                add(&mut columns[n..], *value, &sums);
+            }
+            columns
         };
         let pairs = (0..COUNT).flat_map(|first| (first..COUNT).map(move |second| (first, second)));
         let columns = pairs.flat_map(|(first, second)| columns(first, second)).collect();
@@ -140,13 +137,14 @@ impl Rises {
     pub fn law(&self, faces: &[Face], reach_ps: f64) -> Rise {
         let count = ((reach_ps - self.first_ps) / self.step_ps).ceil().max(1.0) as usize;
         let mut columns = vec![[0.0; 2]; count.saturating_add(2).min(self.count)];
-        faces.iter().for_each(|face| self.add(*face, &mut columns));
+        let mut blended = columns.clone();
+        faces.iter().for_each(|face| self.add(*face, &mut columns, &mut blended));
         Rise { first_ps: self.first_ps, step_ps: self.step_ps, columns }
     }
 
     /// Light of a rectangle: that of the quarter with its nearest edges, less what lies beyond the other two, whose
     /// light begins later.
-    fn add(&self, Face { weight, ends }: Face, columns: &mut [[f64; 2]]) {
+    fn add(&self, Face { weight, ends }: Face, columns: &mut [[f64; 2]], blended: &mut [[f64; 2]]) {
         let ends = ends.map(|[one, other]| if one < other { [one, other] } else { [other, one] });
         let nearest = |ends: Ends| ends.iter().map(|end| end.min(0.0).powi(2)).sum::<f64>();
         let [[first, far_first], [second, far_second]] = ends;
@@ -159,18 +157,19 @@ impl Rises {
         ] {
             let later = nearest(ends) - begin;
             if later * self.sigma_ps < self.step_ps * columns.len() as f64 {
-                self.add_quarter(sign * weight, ends, later, columns);
+                self.blend(sign * weight, ends, blended);
+                self.add_later(later, blended, columns);
             }
         }
     }
 
-    fn add_quarter(&self, weight: f64, ends: Ends, later: f64, columns: &mut [[f64; 2]]) {
-        let shift = later * self.sigma_ps / self.step_ps;
-        let (whole, part) = (shift as usize, shift.fract());
+    /// Light of a quarter, between the four laws of the table that are next to it.
+    fn blend(&self, weight: f64, ends: Ends, blended: &mut [[f64; 2]]) {
         let places = ends.map(|end| {
             let place = ((end - LEAST) / STEP_OF_ENDS).clamp(0.0, (COUNT - 1) as f64 - 1e-9);
             (place as usize, place.fract())
         });
+        blended.fill([0.0; 2]);
         for (first, second) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let share = |(_, fract): (usize, f64), next: usize| if next == 1 { fract } else { 1.0 - fract };
             let weight = weight * share(places[0], first) * share(places[1], second);
@@ -180,15 +179,28 @@ impl Rises {
             }
             let [a, b] = [places[0].0 + first, places[1].0 + second];
             let from = self.count * pair(a.min(b), a.max(b));
-            let own = &self.columns[from..from + self.count];
-            let mut before = [0.0; 2];
-            for (column, now) in columns[whole..].iter_mut().zip(own) {
-                let light = [0, 1].map(|k| now[k] + part * (before[k] - now[k]));
-                column[0] += weight * light[0];
-                column[1] += weight * (light[1] + later * light[0]);
-                before = *now;
-            }
+            add(blended, weight, &self.columns[from..from + self.count]);
         }
+    }
+
+    /// Adds light that begins later.
+    fn add_later(&self, later: f64, light: &[[f64; 2]], columns: &mut [[f64; 2]]) {
+        let shift = later * self.sigma_ps / self.step_ps;
+        let (whole, part) = (shift as usize, shift.fract());
+        let mut before = [0.0; 2];
+        for (column, now) in columns[whole..].iter_mut().zip(light) {
+            let light = [0, 1].map(|k| now[k] + part * (before[k] - now[k]));
+            column[0] += light[0];
+            column[1] += light[1] + later * light[0];
+            before = *now;
+        }
+    }
+}
+
+fn add(columns: &mut [[f64; 2]], weight: f64, light: &[[f64; 2]]) {
+    for (column, light) in columns.iter_mut().zip(light) {
+        column[0] += weight * light[0];
+        column[1] += weight * light[1];
     }
 }
 

@@ -49,6 +49,39 @@ fn the_law_of_the_light_is_the_likeliest_and_has_its_time() {
     }
 }
 
+/// What the fit climbs is what it compares: slopes are those of the logarithm, also where the rate is low or negative.
+#[test]
+fn slopes_of_the_likelihood_are_differences_of_its_logarithm() {
+    let rises = rises();
+    let mut random = ChaCha8Rng::seed_from_u64(17);
+    let means = means(0.0, 500.0, [0.1, 6.0]);
+    let counts: Vec<f64> = means.iter().map(|mean| Poisson::new(*mean).unwrap().sample(&mut random)).collect();
+    for noise in [Noise::Counts, Noise::Gauss { sd: 0.7 }] {
+        let bins = Bins { first_ps: FAR_PS, dt_ps: DT_PS, values: &counts, noise };
+        let window = Window::about(&bins, &rises, Background::CONSTANT, FAR_PS + 500.0).unwrap();
+        let law = rises.law(&[Face::quarter(EDGE)], f64::INFINITY);
+        let start_ps = window.start_ps;
+        for unknowns in
+            [[start_ps, 0.1, 6.0, -0.3], [start_ps + 7.0, 1e-3, 9.0, 2.0], [start_ps - 9.0, 0.02, 4.0, -3.0]]
+        {
+            let at = |unknowns: Unknowns| window.likelihood(&window.law_at(&law, unknowns[0]), unknowns);
+            let Likelihood { gradient, information, .. } = at(unknowns);
+            for k in 0..4 {
+                let moved = |step: f64| {
+                    let mut moved = unknowns;
+                    moved[k] += step;
+                    at(moved).logarithm
+                };
+                // The table of laws has corners every 1.5 ps: steps of time are small next to that.
+                let step = 1e-4 * information[k][k].powf(-0.5);
+                let difference = (moved(step) - moved(-step)) / (2.0 * step);
+                let scale = information[k][k].sqrt();
+                assert!((difference - gradient[k]).abs() < 1e-4 * scale, "{k}: {difference}, {}", gradient[k]);
+            }
+        }
+    }
+}
+
 #[test]
 fn errors_scatter_as_stated() {
     let rises = rises();
