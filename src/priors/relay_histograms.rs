@@ -90,8 +90,8 @@ impl Waveforms {
             for profile in batch?.into_iter().filter(|profile| &*profile.role == "scene") {
                 match sensors.of(&profile) {
                     Some((key, sensor)) => {
-                        let averaged = responses.of(key, sensor, &profile);
-                        waveforms.calibrated.push(Waveform::new(profile, sensor, averaged));
+                        let response = responses.of(key, sensor, &profile);
+                        waveforms.calibrated.push(Waveform::new(profile, sensor, response));
                     }
                     None => waveforms.uncalibrated += 1,
                 }
@@ -101,37 +101,33 @@ impl Waveforms {
     }
 }
 
-/// The averaged response of the last profile, with its full width at half maximum. Thousands of captures share it, and
-/// a copy for each would take more memory than their counts.
+/// The averaged response of the last profile. Thousands of captures share it, and a copy for each would take more
+/// memory than their counts.
 #[derive(Default)]
-struct Responses(Option<(Alike, Averaged)>);
-
-type Averaged = (Arc<Response>, f64);
+struct Responses(Option<(Alike, Arc<Response>)>);
 
 /// On what an averaged response depends: sensor and range, width of a bin, shots at each phase.
 type Alike = (SensorRange, f64, Option<Vec<i32>>);
 
 impl Responses {
-    fn of(&mut self, key: &SensorRange, sensor: &Calibrated, profile: &Profile) -> Averaged {
+    fn of(&mut self, key: &SensorRange, sensor: &Calibrated, profile: &Profile) -> Arc<Response> {
         let is_same = |(of, dt_ps, phase_shots): &Alike| {
             of == key && *dt_ps == profile.dt_ps && *phase_shots == profile.phase_shots
         };
         match &self.0 {
-            Some((alike, averaged)) if is_same(alike) => averaged.clone(),
+            Some((alike, response)) if is_same(alike) => Arc::clone(response),
             _ => {
-                let response = sensor.averaged(profile);
-                let width_ps = response.width_ps();
-                let averaged = (Arc::new(response), width_ps);
+                let response = Arc::new(sensor.averaged(profile));
                 let alike = (key.clone(), profile.dt_ps, profile.phase_shots.clone());
-                self.0 = Some((alike, averaged.clone()));
-                averaged
+                self.0 = Some((alike, Arc::clone(&response)));
+                response
             }
         }
     }
 }
 
 impl Waveform {
-    fn new(profile: Profile, sensor: &Calibrated, (response, width_ps): Averaged) -> Self {
+    fn new(profile: Profile, sensor: &Calibrated, response: Arc<Response>) -> Self {
         let light = match profile.counts {
             Some(counts) => Light::Counts(counts),
             None => Light::Volts {
@@ -148,8 +144,8 @@ impl Waveform {
             seen: profile.seen,
             first_ps: profile.t0_ps - sensor.latency_ps,
             dt_ps: profile.dt_ps,
+            width_ps: response.width_ps(),
             response,
-            width_ps,
             light,
         }
     }

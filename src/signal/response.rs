@@ -10,6 +10,7 @@
 //! support.
 
 use std::ops::Range;
+use std::sync::OnceLock;
 
 /// Impulse response: natural cubic spline through equally spaced values, zero outside its support.
 #[derive(Clone, Debug)]
@@ -18,6 +19,17 @@ pub struct Response {
     step_ps: f64,
     /// One cubic a knot interval, in powers of the position `u` in 0..=1 within it.
     pieces: Vec<[f64; 4]>,
+    /// Sought once: fits of single shots ask for it each time.
+    outline: OnceLock<Outline>,
+}
+
+/// What is sought over all pieces.
+#[derive(Clone, Copy, Debug)]
+struct Outline {
+    is_step: bool,
+    height: f64,
+    peak_ps: f64,
+    width_ps: f64,
 }
 
 impl Response {
@@ -39,7 +51,11 @@ impl Response {
             .zip(curvatures.windows(2))
             .map(|(v, m)| [v[0], v[1] - v[0] - (2.0 * m[0] + m[1]) / 6.0, m[0] / 2.0, (m[1] - m[0]) / 6.0])
             .collect();
-        Self { t0_ps, step_ps, pieces }
+        Self::of(t0_ps, step_ps, pieces)
+    }
+
+    fn of(t0_ps: f64, step_ps: f64, pieces: Vec<[f64; 4]>) -> Self {
+        Self { t0_ps, step_ps, pieces, outline: OnceLock::new() }
     }
 
     /// The same, `factor` times as wide about the arrival.
@@ -49,7 +65,7 @@ impl Response {
     #[must_use]
     pub fn stretched(&self, factor: f64) -> Self {
         assert!(factor > 0.0 && factor.is_finite(), "a width has a positive factor");
-        Self { t0_ps: factor * self.t0_ps, step_ps: factor * self.step_ps, pieces: self.pieces.clone() }
+        Self::of(factor * self.t0_ps, factor * self.step_ps, self.pieces.clone())
     }
 
     /// The same, `delay_ps` later after the arrival.
@@ -59,7 +75,7 @@ impl Response {
     #[must_use]
     pub fn delayed(&self, delay_ps: f64) -> Self {
         assert!(delay_ps.is_finite(), "a delay is a number");
-        Self { t0_ps: self.t0_ps + delay_ps, step_ps: self.step_ps, pieces: self.pieces.clone() }
+        Self::of(self.t0_ps + delay_ps, self.step_ps, self.pieces.clone())
     }
 
     /// Distance of its knots, ps.
@@ -130,19 +146,35 @@ impl Response {
     /// Whether it is a step: it ends above half its maximum, where a pulse has decayed.
     #[must_use]
     pub fn is_step(&self) -> bool {
-        self.value(self.support_ps().1) > self.height() / 2.0
+        self.outline().is_step
     }
 
     /// Largest value.
     #[must_use]
     pub fn height(&self) -> f64 {
-        self.value(self.maximum_ps())
+        self.outline().height
     }
 
     /// Time of the maximum, ps after the arrival; for a step, of its steepest rise.
     #[must_use]
     pub fn peak_ps(&self) -> f64 {
-        if self.is_step() { self.steepest().0 } else { self.maximum_ps() }
+        self.outline().peak_ps
+    }
+
+    fn outline(&self) -> &Outline {
+        self.outline.get_or_init(|| {
+            let (maximum_ps, reach) = (self.maximum_ps(), self.support_ps());
+            let height = self.value(maximum_ps);
+            let is_step = self.value(reach.1) > height / 2.0;
+            let (peak_ps, width_ps) = if is_step {
+                let (steepest_ps, slope) = self.steepest();
+                (steepest_ps, height / slope)
+            } else {
+                let end = |limit_ps| self.crossing(maximum_ps, limit_ps, height / 2.0);
+                (maximum_ps, end(reach.1) - end(reach.0))
+            };
+            Outline { is_step, height, peak_ps, width_ps }
+        })
     }
 
     /// Time and slope (per ps) of the steepest rise.
@@ -175,13 +207,7 @@ impl Response {
     /// For a step, its rise time: height over steepest slope.
     #[must_use]
     pub fn width_ps(&self) -> f64 {
-        if self.is_step() {
-            return self.height() / self.steepest().1;
-        }
-        let peak_ps = self.maximum_ps();
-        let half = self.value(peak_ps) / 2.0;
-        let reach = self.support_ps();
-        self.crossing(peak_ps, reach.1, half) - self.crossing(peak_ps, reach.0, half)
+        self.outline().width_ps
     }
 
     /// First time from `peak_ps` towards `limit_ps` at which the value falls to `level`; `limit_ps` if it never does.
