@@ -73,8 +73,8 @@ pub fn averaged(response: &Response, profile: &Profile) -> Response {
 /// Share of its maximum below which the ends of an averaged response are cut off: a power of ten, so that noise hides
 /// the ends of even the strongest pulse.
 pub fn cut_share(profile: &Profile) -> f64 {
-    let largest_v = f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs));
-    let hidden = CUT_NOISE_SHARE * noise_v(profile) / largest_v;
+    let largest_v = largest_v(profile);
+    let hidden = CUT_NOISE_SHARE * own_noise_v(profile).max(f64::from(f32::EPSILON) * largest_v) / largest_v;
     10.0_f64.powf(hidden.log10().floor()).min(CUT_MAX)
 }
 
@@ -104,7 +104,16 @@ pub fn sd_v(profile: &Profile) -> Vec<f64> {
 
 /// Standard deviation of a sample of a profile's mean away from pulses, at least the rounding of its f32 samples.
 pub fn noise_v(profile: &Profile) -> f64 {
-    (profile.noise_v / f64::from(profile.shots).sqrt()).max(rounding_v(profile))
+    own_noise_v(profile).max(rounding_v(profile))
+}
+
+/// Whether that is rounding alone.
+pub fn is_rounding(profile: &Profile) -> bool {
+    own_noise_v(profile) <= rounding_v(profile)
+}
+
+fn own_noise_v(profile: &Profile) -> f64 {
+    profile.noise_v / f64::from(profile.shots).sqrt()
 }
 
 /// Variances of the components of slow noise in a profile's mean, V^2.
@@ -114,7 +123,11 @@ pub fn slow_v2(profile: &Profile) -> Vec<f64> {
 
 /// Rounding of a profile's f32 samples.
 pub fn rounding_v(profile: &Profile) -> f64 {
-    f64::from(f32::EPSILON) * f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))
+    f64::from(f32::EPSILON) * largest_v(profile)
+}
+
+fn largest_v(profile: &Profile) -> f64 {
+    f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))
 }
 
 /// Autocorrelation of a profile's noise, smoothed to that of an autoregressive process of the order that its samples

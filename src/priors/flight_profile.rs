@@ -70,6 +70,6 @@ fn jitter(profile: &Profile) -> Option<Jitter> {
 
 /// Autocorrelation of the noise; white where it is no more than the rounding of the samples.
 fn acf(profile: &Profile) -> Vec<f64> {
-    let is_rounding = calibration::noise_v(profile) <= calibration::rounding_v(profile);
+    let is_rounding = calibration::is_rounding(profile);
     if is_rounding { vec![1.0] } else { calibration::correlation(profile) }
 }

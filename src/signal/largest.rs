@@ -15,8 +15,9 @@ pub fn largest<T: Copy + PartialOrd>(values: &[T], least: T, of: impl Fn(T) -> T
         || {
             let mut most = [least; LANES];
             for block in blocks {
-                for (most, value) in most.iter_mut().zip(block) {
-                    *most = larger(*most, of(*value));
+                // The compiler leaves a zip of two arrays as a call, which keeps the largest in memory.
+                for (lane, most) in most.iter_mut().enumerate() {
+                    *most = larger(*most, of(block[lane]));
                 }
             }
             most

@@ -176,9 +176,16 @@ struct Trace {
 /// Samples outside of clipped stretches and their margins.
 #[must_use]
 pub fn valid(clipped: &[bool], before: usize, after: usize) -> Vec<bool> {
-    let mut valid = vec![true; clipped.len()];
-    for n in (0..clipped.len()).filter(|n| clipped[*n]) {
-        valid[n.saturating_sub(before)..(n + after + 1).min(clipped.len())].fill(false);
+    let len = clipped.len();
+    let mut valid = vec![true; len];
+    let next = |from: usize, is_clipped: bool| {
+        clipped[from..].iter().position(|clipped| *clipped == is_clipped).map_or(len, |n| from + n)
+    };
+    let mut start = next(0, true);
+    while start < len {
+        let end = next(start, false);
+        valid[start.saturating_sub(before)..(end + after).min(len)].fill(false);
+        start = next(end, true);
     }
     valid
 }
