@@ -38,5 +38,7 @@ class Bar:
     def close(self) -> None:
         """Takes the bar away."""
         if self.bar is not None:
+            # A bar draws itself ten times a second: a short pass would end as it began.
+            self.bar.refresh()
             self.bar.close()
             self.bar = None
