@@ -73,8 +73,7 @@ pub fn averaged(response: &Response, profile: &Profile) -> Response {
 /// Share of its maximum below which the ends of an averaged response are cut off: a power of ten, so that noise hides
 /// the ends of even the strongest pulse.
 pub fn cut_share(profile: &Profile) -> f64 {
-    let largest_v = largest_v(profile);
-    let hidden = CUT_NOISE_SHARE * own_noise_v(profile).max(f64::from(f32::EPSILON) * largest_v) / largest_v;
+    let hidden = CUT_NOISE_SHARE * noise_v(profile) / largest_v(profile);
     10.0_f64.powf(hidden.log10().floor()).min(CUT_MAX)
 }
 
@@ -122,7 +121,7 @@ pub fn slow_v2(profile: &Profile) -> Vec<f64> {
 }
 
 /// Rounding of a profile's f32 samples.
-pub fn rounding_v(profile: &Profile) -> f64 {
+fn rounding_v(profile: &Profile) -> f64 {
     f64::from(f32::EPSILON) * largest_v(profile)
 }
 

@@ -14,7 +14,7 @@ const BENDS_PER_M: [f64; 7] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 /// By so many of these sizes a surface may bend more than is likeliest: that would smooth edges, and what is bent alike
 /// all over, by more than its error bars say.
 const LOOSER: usize = 2;
-/// A size that is less likely than the likeliest by so much (logarithm) ends the search.
+/// A size that is less likely than the likeliest by so much (logarithm) ends the search, once the looser one is fitted.
 const LESS: f64 = 60.0;
 /// Degrees of freedom of the curvatures' prior, and the side of a patch of the surface that has one curvature.
 const FREEDOM: f64 = 4.0;
@@ -101,13 +101,8 @@ impl Fit {
         Some((likeliest_per_m, fits.swap_remove(loose)))
     }
 
-    /// The likeliest with these curvatures from other heights on.
-    #[cfg(test)]
-    pub fn again(&self, problem: &Problem<'_>, heights_m: Vec<f64>, cancel: &Cancel) -> Option<Self> {
-        Self::at(problem, heights_m, &[], self.bend_per_m).likeliest(problem, cancel)
-    }
-
-    fn likeliest(mut self, problem: &Problem<'_>, cancel: &Cancel) -> Option<Self> {
+    /// The likeliest heights from these on, with curvatures of the same size.
+    pub fn likeliest(mut self, problem: &Problem<'_>, cancel: &Cancel) -> Option<Self> {
         let mut damping = LEAST_DAMPING;
         for _ in 0..STEPS {
             cancel.check();
@@ -153,7 +148,8 @@ impl Fit {
         self.square + self.prior
     }
 
-    fn at(problem: &Problem<'_>, heights_m: Vec<f64>, before: &[Foot], bend_per_m: f64) -> Self {
+    /// These heights, with curvatures of a size. Feet at heights before, if there are any, are near.
+    pub fn at(problem: &Problem<'_>, heights_m: Vec<f64>, before: &[Foot], bend_per_m: f64) -> Self {
         let feet = problem.feet(&heights_m, before);
         let loss = |n: usize| {
             let score = score(problem, &feet, n).abs();
@@ -239,8 +235,9 @@ impl Fit {
 /// `None` if it is the largest.
 fn summit(fits: &[Fit], best: usize) -> Option<f64> {
     let after = fits[best].evidence - fits.get(best + 1)?.evidence;
-    let before = fits[best].evidence - best.checked_sub(1).map_or(f64::NEG_INFINITY, |before| fits[before].evidence);
-    Some(0.5 * (before - after) / (before + after)).filter(|_| before.is_finite()).or(Some(0.0))
+    let Some(before) = best.checked_sub(1) else { return Some(0.0) };
+    let before = fits[best].evidence - fits[before].evidence;
+    Some(0.5 * (before - after) / (before + after))
 }
 
 /// What a length is off, over its standard deviation.

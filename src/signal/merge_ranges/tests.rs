@@ -1,7 +1,7 @@
 //! Truth merged from clipped and noisy copies, errors of the right size.
 
 use super::*;
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -52,6 +52,20 @@ fn options(delay_dt_ps: Option<f64>) -> MergeOptions {
 
 fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+#[test]
+fn samples_count_where_no_clipped_one_is_within_the_margins() {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    for _ in 0..300 {
+        let share = rng.random_range(0.0..1.0);
+        let clipped: Vec<bool> = (0..rng.random_range(0..40)).map(|_| rng.random_range(0.0..1.0) < share).collect();
+        let (before, after) = (rng.random_range(0..6), rng.random_range(0..6));
+        let near =
+            |n: usize| (n.saturating_sub(after)..(n + before + 1).min(clipped.len())).any(|other| clipped[other]);
+        let naive: Vec<bool> = (0..clipped.len()).map(|n| !near(n)).collect();
+        assert_eq!(valid(&clipped, before, after), naive, "{clipped:?}, {before}, {after}");
+    }
 }
 
 #[test]
