@@ -170,21 +170,35 @@ def table(folder, name):
 def judge(out, facets, walls, truth):
     points, anchors = table(out, "shapes.points"), table(out, "anchors")
     if len(points) == 0:
-        return [0, *[""] * 5, 0, "", ""]
+        return [0, *[""] * 5, 0, "", "", 0, ""]
+    later, points = points.filter(pl.col("rank") > 1), points.filter(pl.col("rank") == 1)
     places = dict(zip(anchors["patch"], anchors.select("x_m", "y_m", "z_m").to_numpy()))
     near = cKDTree(walls).query([places[seen] for seen in points["seen"]])[1]
     off = points.select("x_m", "y_m", "z_m").to_numpy() - truth[near]
-    xx, xy, xz, yy, yz, zz = (points[f"cov_{axes}_m2"].to_numpy() for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
-    covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1) + np.eye(3) * PITCH_M**2
-    square = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[:, :, None])[:, :, 0])
     error_mm = np.linalg.norm(off, axis=1) * 1e3
     shapes = table(out, "shapes")["kind"].to_list() if len(table(out, "shapes")) else []
-    cells = [len(points), f"{(square < HOLDS).mean():.2f}", f"{np.median(error_mm):.1f}", f"{np.quantile(error_mm, 0.95):.0f}", f"{points['sd_m'].median() * 1e3:.1f}"]
+    held = (squares(off, points) < HOLDS).mean()
+    cells = [len(points), f"{held:.2f}", f"{np.median(error_mm):.1f}", f"{np.quantile(error_mm, 0.95):.0f}", f"{points['sd_m'].median() * 1e3:.1f}", ", ".join(shapes)]
+    behind = [len(later), f"{(nearest_square(later, facets[0]) < HOLDS).mean():.2f}" if len(later) else ""]
     nodes = table(out, "meshes.vertices")
     if len(nodes) == 0:
-        return [*cells, ", ".join(shapes), 0, "", ""]
+        return [*cells, 0, "", "", *behind]
     far = distance(nodes.select("x_m", "y_m", "z_m").to_numpy(), *facets)
-    return [*cells, ", ".join(shapes), len(nodes), f"{(far < 1.96 * nodes['sd_m'].to_numpy()).mean():.2f}", f"{np.median(far) * 1e3:.2f}"]
+    return [*cells, len(nodes), f"{(far < 1.96 * nodes['sd_m'].to_numpy()).mean():.2f}", f"{np.median(far) * 1e3:.2f}", *behind]
+
+
+def squares(off, points):
+    """Chi-squares of distances from points."""
+    xx, xy, xz, yy, yz, zz = (points[f"cov_{axes}_m2"].to_numpy() for axes in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1) + np.eye(3) * PITCH_M**2
+    return np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[:, :, None])[:, :, 0])
+
+
+def nearest_square(points, place):
+    """Of each point the least chi-square of the facets near it: light that begins later is that of any part."""
+    at = points.select("x_m", "y_m", "z_m").to_numpy()
+    near = cKDTree(place).query(at, k=400)[1]
+    return np.min([squares(place[near[:, k]] - at, points) for k in range(near.shape[1])], axis=0)
 
 
 def distance(points, place, normal):
@@ -206,8 +220,8 @@ def main():
     parser.add_argument("things", nargs="*", default=list(THINGS))
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
-    print("| thing | scan | points | 95 % hold | median error (mm) | 95 % of errors below (mm) | median sd (mm) | shapes | nodes of meshes | 95 % hold | median distance (mm) |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|", flush=True)
+    print("| thing | scan | points | 95 % hold | median error (mm) | 95 % of errors below (mm) | median sd (mm) | shapes | nodes of meshes | 95 % hold | median distance (mm) | later points | 95 % have a facet |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|", flush=True)
     for thing in args.things:
         for seed in args.seeds:
             for kind in args.scans:

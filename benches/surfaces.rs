@@ -3,7 +3,8 @@
 //! `cargo bench --bench surfaces -- 5 32 1000`: 5 scans of each cell, 32 x 32 points of the wall, seeds from 1000 on;
 //! a fourth number takes scans of so many photons in a mean histogram alone. Names of things take these alone.
 //!
-//! A second table has what `shape` told, with the radii of spheres; a third one the surfaces of `mesh`.
+//! A second table has points of later returns, a third one what `shape` told, with the radii of spheres, a fourth one
+//! the surfaces of `mesh`.
 //!
 //! `cargo bench --bench surfaces -- write FOLDER 1 32 2000 3000` writes such scans as `THING-PHOTONS-SEED.mat`, with
 //! points of the true surface beside each (`.csv`: x, y, z, normal), and runs nothing: for other programs.
@@ -50,7 +51,7 @@ fn main() {
         "| scene | photons | kind | scans | points | of a farther thing | 95 % hold (least to most of a scan) | median error (mm) | 95 % of errors below (mm) | median sd (mm) | median turn of the normal (degrees) |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|");
-    let (mut shapes, mut meshes) = (String::new(), String::new());
+    let [mut behind, mut shapes, mut meshes] = [const { String::new() }; 3];
     for kind in things {
         for photons in &photons {
             let of_seed = |seed| results(&thing(kind, seed), &capture(side, seed), *photons);
@@ -59,10 +60,15 @@ fn main() {
                 let of_kind = scans.iter().map(|one| &one.points[k]).filter(|one| one.points > 0);
                 print(&format!("{kind} | {photons} | {name}"), &of_kind.collect::<Vec<_>>());
             }
+            behind.push_str(&behind_of(&format!("{kind} | {photons}"), &scans));
             shapes.push_str(&shapes_of(&format!("{kind} | {photons}"), &scans));
             meshes.push_str(&meshes_of(&format!("{kind} | {photons}"), &scans));
         }
     }
+    println!(
+        "\n| scene | photons | scans with later returns | points | with a facet within 95 % (least to most of a scan) | median distance (mm) | 95 % of distances below (mm) | median sd (mm) |\n|---|---|---|---|---|---|---|---|"
+    );
+    print!("{behind}");
     println!(
         "\n| scene | photons | scans | points on shapes | shapes of a scan | radius - true (mm) | over its sd |\n|---|---|---|---|---|---|---|"
     );
@@ -71,6 +77,29 @@ fn main() {
         "\n| scene | photons | scans with a surface | nodes | 95 % hold (least to most of a scan) | median distance (mm) | 95 % of distances below (mm) | median sd (mm) | median turn of the normal (degrees) |\n|---|---|---|---|---|---|---|---|---|"
     );
     print!("{meshes}");
+}
+
+/// Points of later returns.
+fn behind_of(name: &str, scans: &[Results]) -> String {
+    let with: Vec<&Tally> = scans.iter().map(|one| &one.later).filter(|later| later.points > 0).collect();
+    let begins = format!("| {name} | {} of {}", with.len(), scans.len());
+    if with.is_empty() {
+        return format!("{begins} | 0 | | | | |\n");
+    }
+    let sum = |of: fn(&Tally) -> usize| with.iter().map(|one| of(one)).sum::<usize>();
+    let (points, held) = (sum(|one| one.points), sum(|one| one.held));
+    let shares = with.iter().map(|one| one.held as f64 / one.points as f64);
+    let (least, most) = (shares.clone().fold(1.0, f64::min), shares.fold(0.0, f64::max));
+    let mut errors_m: Vec<f64> = with.iter().flat_map(|one| one.errors_m.clone()).collect();
+    errors_m.sort_by(f64::total_cmp);
+    let sds_m: Vec<f64> = with.iter().flat_map(|one| one.sds_m.clone()).collect();
+    format!(
+        "{begins} | {points} | {:.2} ({least:.2} to {most:.2}) | {:.1} | {:.1} | {:.1} |\n",
+        held as f64 / points as f64,
+        1e3 * median(&errors_m),
+        1e3 * errors_m[errors_m.len() * 95 / 100],
+        1e3 * median(&sds_m),
+    )
 }
 
 /// Surfaces between points.

@@ -8,13 +8,13 @@ use serde::Serialize;
 
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{Kind, Lit, SurfacePoint, wall_normal};
+use crate::geometry::first_return::{Kind, Lit, SurfacePoint, Systematic, wall_normal};
 use crate::geometry::height_field::height_fields;
 use crate::geometry::shapes::Sighting;
 use crate::priors::campaign_fields::Medium;
 use crate::signal::edge::{Bins, Noise, Rises};
 use crate::simulate::wall::{Surface, Wall, WallScene};
-use crate::stages::first_returns::Timing;
+use crate::stages::first_returns::{ShownPoint, Timing};
 
 /// Samples of the response across its width, and widths before and behind its middle.
 const SAMPLES: f64 = 40.0;
@@ -73,10 +73,12 @@ impl WallOutlook {
         let medium = Medium { group_index: 1.0 };
         let hidden_side = Point::new(0.0, 0.0, 1.0);
         let inwards = wall_normal(&wall.places(), &hidden_side).expect("the points of a wall span a plane");
-        let timing = Timing { lit: &Lit::Same, inwards, medium, rises: &rises, threshold_sigma };
-        let points = timing.shown(bins.len(), |n| bins[n], cancel).points;
-        let sighting = |(n, point): &(usize, SurfacePoint)| Sighting {
-            seen: bins[*n].0,
+        let systematic = Systematic::default();
+        let timing = Timing { lit: &Lit::Same, inwards, medium, rises: &rises, threshold_sigma, systematic };
+        let mut points = timing.shown(bins.len(), |n| bins[n], cancel).points;
+        points.retain(|shown| shown.rank == 1);
+        let sighting = |ShownPoint { number, point, .. }: &ShownPoint| Sighting {
+            seen: bins[*number].0,
             light: point.light,
             point: point.point,
             covariance_m2: point.covariance_m2,
@@ -88,7 +90,7 @@ impl WallOutlook {
             .iter()
             .flat_map(|field| field.nodes.iter().map(|node| node.sd_m))
             .collect();
-        let all = || points.iter().map(|(_, point)| point);
+        let all = || points.iter().map(|shown| &shown.point);
         let count = |kind: Kind| all().filter(|point| point.kind == kind).count();
         let along = |point: &SurfacePoint| point.normal.dot(&(point.covariance_m2 * point.normal)).sqrt();
         let turn = |point: &SurfacePoint| (0.5 * point.normal_covariance.trace()).sqrt().to_degrees();

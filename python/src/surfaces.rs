@@ -100,7 +100,8 @@ impl FirstReturns {
 ///
 /// Notes
 /// -----
-/// The method and its limits: docs/surfaces.md of the project.
+/// Light that rises again behind the first, of things farther away, is found by campaigns alone (`run`). The method
+/// and its limits: docs/surfaces.md of the project.
 #[pyfunction]
 #[pyo3(signature = (histograms, response, *, dt_ps, t0_ps=Each::All(0.0), sd=None, threshold_sigma=5.0))]
 pub fn first_returns(
@@ -296,7 +297,7 @@ pub fn surface_points(
     let places =
         timed.records.iter().map(|one| Place { seen: wall[one.place], returns: one.returns.each_ref().map(returned) });
     let sigma_m = path_m(timed.rises.sigma_ps(), index);
-    let scan = Scan { lit: lit.map_or(Lit::Same, Lit::One), inwards, sigma_m, places: places.collect() };
+    let scan = Scan { lit: lit.map_or(Lit::Same, Lit::One), inwards, sigma_m, places: places.collect(), least: 0 };
     let result = interruptible(py, |cancel| {
         let window = |one| Record::window(one, timed);
         let windows: Vec<Option<Window<'_>>> = timed.records.iter().map(window).collect();

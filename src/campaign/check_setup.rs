@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use super::fault::{At, Fault};
-use super::keys::{Campaign, LASER, Patch, PatchRole, Sensor, SensorKind, Station};
+use super::keys::{Campaign, LASER, Patch, PatchRole, Sensor, SensorKind, Station, Wall};
 use crate::units::PatchId;
 
 /// Checks all of a campaign except its rules and exclusions.
@@ -37,6 +37,7 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
     at.check(hidden.along.is_none_or(|along| length(along) > 0.0), || {
         "along has length 0; give the direction in which hidden patches follow one another".into()
     })?;
+    wall(&campaign.wall)?;
     for (id, patch) in &campaign.patches {
         let place = format!("[patches.{id}]");
         At(&place).check(patch.through.is_none_or(|exit| campaign.patches.contains_key(&exit)), || {
@@ -44,6 +45,21 @@ pub fn campaign(campaign: &Campaign) -> Result<(), Fault> {
         })?;
     }
     setup(&campaign.stations, &campaign.sensors, &campaign.patches, campaign.dimensions)
+}
+
+fn wall(wall: &Wall) -> Result<(), Fault> {
+    let at = At("[wall]");
+    at.positive("grid_sd", wall.grid_sd)?;
+    at.check(wall.grid_sd.is_none_or(|sd| sd < 1.0), || {
+        "grid_sd is a share of the distance from the wall's middle; give a number below 1, such as 0.002".into()
+    })?;
+    at.positive("relief_sd_m", wall.relief_sd_m)?;
+    at.positive("relief_length_m", wall.relief_length_m)?;
+    at.positive("delay_sd_ps", wall.delay_sd_ps)?;
+    at.positive("walk_sd_ps", wall.walk_sd_ps)?;
+    let (is_high, is_long) = (wall.relief_sd_m.is_some(), wall.relief_length_m.is_some());
+    at.needs("relief_sd_m", is_high, "relief_length_m", is_long)?;
+    at.needs("relief_length_m", is_long, "relief_sd_m", is_high)
 }
 
 /// Checks stations, sensors and patches. Scene descriptions have the same headings.

@@ -50,6 +50,8 @@ pub struct Campaign {
     pub views: BTreeMap<PatchId, View>,
     /// Prior information on the hidden patches.
     pub hidden: Hidden,
+    /// What errors the set-up of a relay wall has.
+    pub wall: Wall,
     /// Rules that say which records are which exposures.
     pub captures: Vec<CaptureRule>,
     /// Exposures to omit, and why.
@@ -208,6 +210,27 @@ pub struct Ray {
 pub struct View {
     /// The patches that it covers.
     pub patches: Vec<PatchId>,
+}
+
+/// `[wall]`: standard deviations of errors that all points of a relay wall share; absent: none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wall {
+    /// Of its points along the wall, over their distance from its middle: both scales, shear and turn, each.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grid_sd: Option<f64>,
+    /// Of its height over its points.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relief_sd_m: Option<f64>,
+    /// Length over which this height changes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relief_length_m: Option<f64>,
+    /// Of the delay of all light.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub delay_sd_ps: Option<f64>,
+    /// Of the delay for each factor of e by which light is stronger than in the mean of the wall.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub walk_sd_ps: Option<f64>,
 }
 
 /// `[hidden]`: prior information on the hidden patches.

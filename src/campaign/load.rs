@@ -7,8 +7,8 @@ use serde::Deserialize;
 
 use super::fault::Fault;
 use super::keys::{
-    CAMPAIGN_FILE, Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, exclude_place, one_station,
-    rule_place,
+    CAMPAIGN_FILE, Campaign, CaptureRule, Exclude, Hidden, Patch, Sensor, Station, View, Wall, exclude_place,
+    one_station, rule_place,
 };
 use super::manifest::ManifestError;
 use super::parts::PART_BYTES;
@@ -73,6 +73,8 @@ struct CampaignFile {
     views: BTreeMap<PatchId, View>,
     #[serde(default)]
     hidden: Hidden,
+    #[serde(default)]
+    wall: Wall,
     #[serde(default)]
     captures: Vec<CaptureRule>,
     #[serde(default)]
@@ -148,6 +150,7 @@ impl Campaign {
             patches: keys.patches,
             views: keys.views,
             hidden: keys.hidden,
+            wall: keys.wall,
             captures: keys.captures,
             exclude: keys.exclude,
             settled: None,
@@ -206,6 +209,12 @@ ray = { from = "laser", direction = [0.08, 0.99, 0.0], sd_rad = 0.002 }
 patches = [3, 4]
 [hidden]
 count = 2
+[wall]
+grid_sd = 0.002
+relief_sd_m = 0.001
+relief_length_m = 0.2
+delay_sd_ps = 5.0
+walk_sd_ps = 2.0
 [[captures]]
 role = "scene"
 files = "raw/scene/L{lit}_P{seen}.trc"
@@ -249,6 +258,7 @@ reason = "shutter stuck"
         assert_eq!(campaign.sensors["spad"].kind, SensorKind::Counts);
         assert_eq!(campaign.patches[&2].role, PatchRole::Mirror);
         assert_eq!(campaign.views[&7].patches, [3, 4]);
+        assert_eq!((campaign.wall.grid_sd, campaign.wall.walk_sd_ps), (Some(0.002), Some(2.0)));
         assert_eq!(campaign.captures[0].segments, [Axis::Shot]);
         assert_eq!(campaign.captures[1].segments, [Axis::Range, Axis::Shot]);
         assert_eq!(campaign.captures[1].samples, Some([0, 500]));
@@ -278,6 +288,9 @@ reason = "shutter stuck"
 sd_m = 0.002 ~ sd = 0.002 ~ [patches.2] ~ did you mean `sd_m`?
 count = 2 ~ count = 2.5 ~ `count` in [hidden] ~ expected u32
 [hidden] ~ [hiden] ~ the top level ~ did you mean `hidden`?
+grid_sd = 0.002 ~ grid_sd = 1.5 ~ [wall] ~ a share of the distance
+relief_length_m = 0.2 ~  ~ [wall] ~ add relief_length_m
+walk_sd_ps = 2.0 ~ walk_sd_ps = -2.0 ~ [wall] ~ walk_sd_ps must be above 0
 "response" ~ "respons" ~ [[captures]] number 2 ~ did you mean `response`?
 ["range", "shot"] ~ "shots" ~ `segments` in [[captures]] number 2 ~ did you mean `shot`?
 repetition_ps ~ dimensions = 4\nrepetition_ps ~ [campaign] ~ 3, or 2

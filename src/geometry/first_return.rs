@@ -10,6 +10,8 @@
 //! | module | does |
 //! |---|---|
 //! | `alike` | which neighbours show light of the same thing |
+//! | `systematic` | errors of the set-up that all points share |
+//! | `sheets` | light of several things at each place, parted |
 //! | `joined` | places that lie closer than first light tells apart, joined |
 //! | `local` | what fields have in common: how they are fitted to lengths, and how sure they are |
 //! | `way` | how light goes to a place, and the point that value and gradient show |
@@ -39,7 +41,7 @@
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
 //! CVPR 2019. Windows by agreement: Lepski, Theory Probab. Appl. 35:454, 1990.
 //!
-//! Not modelled: errors of the wall's places, later returns, flat faces where the lit point is not the seen point, and
+//! Not modelled: errors of single places of the wall, flat faces where the lit point is not the seen point, and
 //! the wall's relief in how the lengths of pairs that move together change across the wall.
 
 mod alike;
@@ -51,6 +53,8 @@ mod joined;
 mod laws;
 mod local;
 mod odds;
+mod sheets;
+mod systematic;
 mod way;
 mod windows;
 
@@ -71,10 +75,14 @@ pub use field::Kind;
 use flat::{Flat, Hint};
 use joined::Joined;
 use local::{Local, Sample};
+pub use sheets::layers;
+pub use systematic::Systematic;
 use windows::{Chosen, Reading, Wall};
 
 /// Least number of places of the wall.
 pub const LEAST: usize = 16;
+/// Least number of places of a window that has grown.
+pub const GROWN: usize = windows::SIZES[1];
 
 /// Of so many nearest places, itself with them, one tells curvatures.
 const CURVED: usize = 3;
@@ -155,6 +163,8 @@ pub struct Scan {
     pub sigma_m: f64,
     /// Points of the wall.
     pub places: Vec<Place>,
+    /// Least number of places, among those that lie apart, that show a point.
+    pub least: usize,
 }
 
 /// First light at a place under the law that its surface sets.
@@ -318,7 +328,8 @@ impl<'a> Rounds<'a> {
         let bent = self.fields[place].as_ref().map(|bent| bent.seen_from(light.at));
         let flat = self.flats[place].as_ref().map(|flat| flat.seen_from(light.at));
         let choice = Choice { bent: bent.as_ref(), flat: flat.as_ref(), ..self.choice(place) };
-        let mut point = choice.surface_point(self.scan, member as usize, &light)?;
+        let mut point =
+            choice.surface_point(self.scan, member as usize, &light).filter(|point| point.places >= self.scan.least)?;
         choice.add_edges(&mut point, edges);
         point.places = joined.count(point.places);
         Some(point)

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::campaign::Campaign;
 use crate::campaign::keys::{self, LASER, PatchRole, Ray};
 use crate::geometry::Point;
+use crate::geometry::first_return::Systematic;
 use crate::units::{self, PatchId};
 
 /// Stations closer than this are one.
@@ -203,6 +204,38 @@ impl From<&keys::Patch> for PatchPrior {
     fn from(patch: &keys::Patch) -> Self {
         let keys::Patch { role, position_m, sd_m, ray, .. } = patch.clone();
         Self { role, position_m, sd_m, ray }
+    }
+}
+
+/// Errors that all points of a relay wall share.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct WallErrors {
+    /// What campaign.toml says of them.
+    #[serde(rename = "wall", skip_serializing_if = "WallErrors::is_none")]
+    keys: keys::Wall,
+}
+
+impl From<&Campaign> for WallErrors {
+    fn from(campaign: &Campaign) -> Self {
+        Self { keys: campaign.wall }
+    }
+}
+
+impl WallErrors {
+    fn is_none(keys: &keys::Wall) -> bool {
+        *keys == keys::Wall::default()
+    }
+
+    /// As the kernel takes them, in a medium.
+    pub fn systematic(&self, medium: Medium) -> Systematic {
+        let keys::Wall { grid_sd, relief_sd_m, relief_length_m, delay_sd_ps, walk_sd_ps } = self.keys;
+        let length_m = |time_ps: Option<f64>| medium.path_m(time_ps.unwrap_or(0.0));
+        Systematic {
+            grid: grid_sd.unwrap_or(0.0),
+            relief_m: relief_sd_m.zip(relief_length_m).map(|(sd_m, length_m)| [sd_m, length_m]),
+            delay_m: length_m(delay_sd_ps),
+            walk_m: length_m(walk_sd_ps),
+        }
     }
 }
 

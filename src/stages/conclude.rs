@@ -106,7 +106,7 @@ pub struct Context {
 
 impl Stage for Conclude {
     const KIND: &'static str = "conclude";
-    const VERSION: u32 = 14;
+    const VERSION: u32 = 15;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "fits", table: "fits", required: false },

@@ -19,8 +19,13 @@
 //! point. Writes `surface_points`, and `omissions` beside it: pairs of points of the wall without a point, and why.
 //! Captures of other roles than scene, and of patches without a place, are in neither.
 //!
-//! Not modelled: later returns, errors of the wall's places, noise of voltages that is correlated from sample to sample
-//! (it makes standard deviations too small).
+//! Where light rises again behind the first, another thing begins to shine, or another part of it. Points of such later
+//! returns have ranks above 1.
+//!
+//! Errors that all points of the wall share (`[wall]` of campaign.toml) enter the covariances.
+//!
+//! Not modelled: errors of single points of the wall, light that goes from one hidden thing to another, noise of
+//! voltages that is correlated from sample to sample (it makes standard deviations too small).
 //!
 //! ```toml
 //! [surface]
@@ -42,14 +47,14 @@ use crate::geometry::Point;
 use crate::geometry::first_return::{self, Kind, LEAST, Lit, wall_normal};
 use crate::parameter::{NonNegative, Positive};
 use crate::priors::calibration::Sensors;
-use crate::priors::campaign_fields::{ByCampaign, Medium};
+use crate::priors::campaign_fields::{ByCampaign, Medium, WallErrors};
 use crate::priors::covariances::upper;
-use crate::priors::relay_histograms::{self, Fields, Histogram, Times, Waveforms};
+use crate::priors::relay_histograms::{self, Histogram, Times, Waveforms};
 use crate::signal::edge::{Bins, Noise, Rises};
 use crate::tables::{JointSearch, Omission, Patch, Row, SurfacePoint};
 use crate::units::PatchId;
-pub use timing::Timing;
 use timing::{Omitted, Why};
+pub use timing::{ShownPoint, Timing};
 
 /// Samples of the response across its width.
 const SAMPLES: f64 = 40.0;
@@ -82,6 +87,15 @@ impl Default for FirstReturns {
     }
 }
 
+/// What campaign.toml says of the wall and its light.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fields {
+    #[serde(flatten)]
+    relay: relay_histograms::Fields,
+    #[serde(flatten)]
+    errors: WallErrors,
+}
+
 /// Campaigns, the light of each capture, and what `locate` said.
 pub struct Context {
     fields: ByCampaign<Fields>,
@@ -92,7 +106,7 @@ pub struct Context {
 
 impl Stage for FirstReturns {
     const KIND: &'static str = "first_returns";
-    const VERSION: u32 = 15;
+    const VERSION: u32 = 16;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[
         Beside { name: "profiles", table: "profiles", required: true },
@@ -106,7 +120,7 @@ impl Stage for FirstReturns {
     type Context = Context;
 
     fn fields(&self, campaigns: &[Campaign]) -> Self::Fields {
-        ByCampaign::new(campaigns, |campaign| Fields::from(campaign))
+        ByCampaign::new(campaigns, |campaign| Fields { relay: campaign.into(), errors: campaign.into() })
     }
 
     fn context(&self, fields: Self::Fields, beside: &BesideTables) -> Result<Context, StageError> {
@@ -129,7 +143,9 @@ impl Apply for FirstReturns {
             .waveforms
             .calibrated
             .iter()
-            .filter_map(|waveform| Histogram::new(waveform, &points, |campaign| context.fields.get(campaign)))
+            .filter_map(|waveform| {
+                Histogram::new(waveform, &points, |campaign| Some(&context.fields.get(campaign)?.relay))
+            })
             .collect();
         Ok(match self.points(context, &histograms) {
             Ok(tables) => outcome(tables, Vec::new()),
@@ -152,13 +168,15 @@ impl FirstReturns {
         let Some((first, fields)) = histograms.first().zip(context.fields.first()) else {
             return Err("no capture of the scene has a calibration and places of its patches".to_owned());
         };
-        let medium = fields.medium;
+        let Fields { relay: scene, errors } = fields;
+        let medium = scene.medium;
         let mut times = Times::new(histograms, self.gate_ps.map(NonNegative::get))?;
         let rises = self.rises(first, relay(histograms, &mut times, (medium, first.dt_ps()), &context.cancel));
         let walls: Vec<Point> = histograms.iter().flat_map(|one| [one.lit, one.seen]).collect();
-        let Some(inwards) = wall_normal(&walls, &fields.stations.source()) else {
+        let Some(inwards) = wall_normal(&walls, &scene.stations.source()) else {
             return Err("the points of the wall lie in one line; a surface needs points that span a plane".to_owned());
         };
+        let systematic = errors.systematic(medium);
         let groups = scans(histograms, 0.1 * medium.path_m(rises.sigma_ps()));
         if groups.is_empty() {
             return Err(format!(
@@ -175,7 +193,7 @@ impl FirstReturns {
             let lit = scan.lit(members.iter().copied());
             let record = |n: usize| Record::new(scan.place(members[n]), members[n], &times);
             let threshold_sigma = self.threshold_sigma.get();
-            let timing = Timing { lit: &lit, inwards, medium, rises: &rises, threshold_sigma };
+            let timing = Timing { lit: &lit, inwards, medium, rises: &rises, threshold_sigma, systematic };
             let shown = timing.shown(members.len(), record, &context.cancel);
             omissions.extend(quiet.iter().map(|one| (one.pair(), omission(one.pair(), "no-noise", None))));
             let of_omitted = |Omitted { number, why, light }: &Omitted| {
@@ -184,9 +202,10 @@ impl FirstReturns {
                 (pair, omission(pair, reason(*why), light_m))
             };
             omissions.extend(shown.omitted.iter().map(of_omitted));
-            rows.extend(shown.points.iter().map(|(n, point)| row(point, members[*n].pair())));
+            rows.extend(shown.points.iter().map(|shown| row(&shown.point, members[shown.number].pair(), shown.rank)));
         }
-        rows.iter().for_each(|row| drop(omissions.remove(&[row.lit, row.seen])));
+        let first = rows.iter().filter(|row| row.rank == 1);
+        first.for_each(|row| drop(omissions.remove(&[row.lit, row.seen])));
         Ok((rows, omissions.into_values().collect()))
     }
 
@@ -337,7 +356,7 @@ fn omission([lit, seen]: [PatchId; 2], reason: &str, light_m: Option<[f64; 2]>) 
     Omission { lit, seen, reason: reason.into(), light_m, light_sd_m }
 }
 
-fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> SurfacePoint {
+fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2], rank: usize) -> SurfacePoint {
     let [cov_xx_m2, cov_xy_m2, cov_xz_m2, cov_yy_m2, cov_yz_m2, cov_zz_m2] = upper(&point.covariance_m2);
     let [normal_cov_xx, normal_cov_xy, normal_cov_xz, normal_cov_yy, normal_cov_yz, normal_cov_zz] =
         upper(&point.normal_covariance);
@@ -350,6 +369,7 @@ fn row(point: &first_return::SurfacePoint, [lit, seen]: [PatchId; 2]) -> Surface
     SurfacePoint {
         lit,
         seen,
+        rank: rank as i32,
         x_m: point.point.x,
         y_m: point.point.y,
         z_m: point.point.z,

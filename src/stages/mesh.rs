@@ -10,7 +10,7 @@
 //!
 //! Takes `surface_points` (of `first_returns`) and, beside them, `patches`: the points of the wall. Writes `meshes`,
 //! and `vertices`: their nodes. Points whose lit and seen points of the wall differ are left out,
-//! and so are those whose light comes from `edges` that lengths do not show.
+//! and so are those of later returns and those whose light comes from `edges` that lengths do not show.
 //!
 //! Not modelled: where surfaces end, surfaces that turn by more than a right angle, errors of the wall's places.
 //!
@@ -47,7 +47,7 @@ pub struct Context {
 
 impl Stage for FitMeshes {
     const KIND: &'static str = "mesh";
-    const VERSION: u32 = 5;
+    const VERSION: u32 = 6;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: true }];
     const SIDES: &'static [Side] = &[Side { name: "vertices", schema: Vertex::schema }];
@@ -67,7 +67,9 @@ impl Stage for FitMeshes {
 impl Apply for FitMeshes {
     fn apply(&self, context: &Context, group: Vec<SurfacePoint>) -> Result<Outcome<Mesh>, StageError> {
         let sighted = context.walls.sightings(&group);
-        let sightings: Vec<Sighting> = sighted.into_iter().map(|(_, sighting)| sighting).collect();
+        // A surface lies behind every length of first light, not of what begins later.
+        let first = sighted.into_iter().filter(|(row, _)| group[*row].rank == 1);
+        let sightings: Vec<Sighting> = first.map(|(_, sighting)| sighting).collect();
         let fields = height_fields(&sightings, &context.cancel);
         let numbered = || (1..).zip(&fields);
         let vertices: Vec<Vertex> =

@@ -4,13 +4,16 @@ use super::cell::Name;
 use crate::table;
 
 table! {
-    /// The point of a hidden surface whose light comes first to a pair of points of the wall. Errors of neighbouring
+    /// A point of a hidden surface whose light begins to arrive at a pair of points of the wall. Errors of neighbouring
     /// points are common in part: a mean over them is less sure than their number says.
     "surface_points": SurfacePoint, SurfacePointColumns {
         /// Lit patch of the wall.
         lit: i32,
         /// Seen patch of the wall.
         seen: i32,
+        /// 1: of first light; 2 and more: of light that rises again, of a thing or a part behind, or of light that has
+        /// weaker light before it.
+        rank: i32,
         /// Position, x, in the frame of the patches.
         x_m: f64,
         /// Position, y.

@@ -127,6 +127,7 @@ fn the_page_on_files_has_all_keys_of_campaign_toml() {
         "[patches.1]",
         "[views.1]",
         "[hidden]",
+        "[wall]",
         "[[captures]]",
         "[[exclude]]",
     ];

@@ -29,8 +29,10 @@ pub struct Tally {
 
 /// What came of a campaign, by the true kinds of points: smooth, edge, corner.
 pub struct Results {
-    /// Points of `first_returns`.
+    /// Points of `first_returns` that first light shows.
     pub points: [Tally; 3],
+    /// Those that later returns show, of any kind: next to the thing, since their light may come from any part of it.
+    pub later: Tally,
     /// Points that lie on a shape.
     pub on_shapes: usize,
     pub shapes: Vec<Shape>,
@@ -81,14 +83,15 @@ pub fn results(thing: &Thing, capture: &Capture, photons: f64) -> Results {
     let anchors: Vec<Patch> = rows(folder.path(), "out", "anchors");
     let points: Vec<SurfacePoint> = rows(folder.path(), "out", "shapes.points");
     Results {
-        points: tallies(thing, &anchors, &points),
+        points: tallies(thing, &anchors, points.iter().filter(|point| point.rank == 1)),
+        later: later(thing, points.iter().filter(|point| point.rank > 1)),
         on_shapes: points.iter().filter(|point| point.shape.is_some()).count(),
         shapes: rows(folder.path(), "out", "shapes"),
         nodes: Nodes::new(thing, &rows::<Vertex>(folder.path(), "out", "meshes.vertices")),
     }
 }
 
-fn tallies(thing: &Thing, anchors: &[Patch], points: &[SurfacePoint]) -> [Tally; 3] {
+pub fn tallies<'a>(thing: &Thing, anchors: &[Patch], points: impl Iterator<Item = &'a SurfacePoint>) -> [Tally; 3] {
     let mut tallies: [Tally; 3] = Default::default();
     for point in points {
         let anchor = anchors.iter().find(|anchor| anchor.patch == point.seen).unwrap();
@@ -102,9 +105,7 @@ fn tallies(thing: &Thing, anchors: &[Patch], points: &[SurfacePoint]) -> [Tally;
         };
         let (truth, kind) = nearest(place);
         let off = place - truth;
-        let [xx, xy, xz, yy, yz, zz] =
-            [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2, point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2];
-        let root = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz).cholesky().expect("a covariance");
+        let root = covariance_m2(point).cholesky().expect("a covariance");
         let tally = &mut tallies[kind];
         tally.points += 1;
         tally.farther += usize::from(truth != nearest(seen).0);
@@ -115,6 +116,31 @@ fn tallies(thing: &Thing, anchors: &[Patch], points: &[SurfacePoint]) -> [Tally;
         tally.angles_rad.push(normal.angle(&(seen - truth)));
     }
     tallies
+}
+
+/// A point holds where a facet lies within its ellipsoid; its error is the distance from the nearest one.
+fn later<'a>(thing: &Thing, points: impl Iterator<Item = &'a SurfacePoint>) -> Tally {
+    let mut tally = Tally::default();
+    for point in points {
+        let place = Point::new(point.x_m, point.y_m, point.z_m);
+        let root = (covariance_m2(point) + Matrix3::identity() * PITCH_M.powi(2)).cholesky().expect("a covariance");
+        let mut least = [f64::INFINITY; 2];
+        for (facet, ..) in &thing.facets {
+            let off = facet - place;
+            least = [least[0].min(off.norm()), least[1].min(off.dot(&root.solve(&off)))];
+        }
+        tally.points += 1;
+        tally.held += usize::from(least[1] < HOLDS);
+        tally.errors_m.push(least[0]);
+        tally.sds_m.push(point.sd_m);
+    }
+    tally
+}
+
+fn covariance_m2(point: &SurfacePoint) -> Matrix3<f64> {
+    let [xx, xy, xz, yy, yz, zz] =
+        [point.cov_xx_m2, point.cov_xy_m2, point.cov_xz_m2, point.cov_yy_m2, point.cov_yz_m2, point.cov_zz_m2];
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
 }
 
 /// Makes a campaign of a scan.

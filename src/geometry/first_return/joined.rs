@@ -37,7 +37,7 @@ impl<'a> Joined<'a> {
         let members =
             squares(whole, cancel).unwrap_or_else(|| (0..whole.places.len() as u32).map(|n| vec![n]).collect());
         let places = members.iter().map(|members| joined(whole, members)).collect();
-        let scan = Scan { lit: whole.lit.clone(), inwards: whole.inwards, sigma_m: whole.sigma_m, places };
+        let scan = Scan { lit: whole.lit.clone(), places, ..*whole };
         Self { whole, scan, members }
     }
 
@@ -183,7 +183,7 @@ mod tests {
             let length_m = 1.2 + 0.8 * seen.x - 0.3 * seen.y + behind;
             Place { seen, returns: [Return { length_m, sd_m, common_m: 1e-4, log_likelihood: -1.0 }; 3] }
         });
-        Scan { lit: Lit::Same, inwards: Vector3::z(), sigma_m: 7.5e-3, places: places.collect() }
+        Scan { lit: Lit::Same, inwards: Vector3::z(), sigma_m: 7.5e-3, places: places.collect(), least: 0 }
     }
 
     #[test]

@@ -266,6 +266,7 @@ mod tests {
                 inwards: nalgebra::Vector3::z(),
                 sigma_m: 0.01,
                 places: vec![place; 60],
+                least: 0,
             };
             let near: Vec<Vec<u32>> = vec![(0..60).collect(); 60];
             let members: Vec<u32> = (0..60).collect();

@@ -43,7 +43,7 @@ fn scan(wall: &[Point], lit: Lit, surface: impl Fn(&Point) -> Point, sd_m: f64, 
         Place { seen: *seen, returns: [Return { length_m, sd_m, common_m: 0.0, log_likelihood: 0.0 }; 3] }
     };
     let places = wall.iter().map(&mut place).collect();
-    Scan { lit, inwards: Vector3::z(), sigma_m: SIGMA_M, places }
+    Scan { lit, inwards: Vector3::z(), sigma_m: SIGMA_M, places, least: 0 }
 }
 
 /// A bent field about a place.
@@ -438,7 +438,7 @@ fn pairs_that_move_together_show_the_point_that_reflects() {
             Place { seen: *at, returns: [Return { length_m, sd_m: 1e-3, common_m: 0.0, log_likelihood: 0.0 }; 3] }
         };
         let places = wall.iter().zip(&halves).map(&mut place).collect();
-        let scan = Scan { lit: Lit::Apart(halves.clone()), inwards: Vector3::z(), sigma_m: SIGMA_M, places };
+        let scan = Scan { lit: Lit::Apart(halves.clone()), inwards: Vector3::z(), sigma_m: SIGMA_M, places, least: 0 };
         let points = points(&scan);
         let holds = |point: &&SurfacePoint| {
             let off = point.point - truths[point.place].0;

@@ -68,6 +68,16 @@ impl Way {
         }
     }
 
+    /// The length at a place whose light comes over a point, and its gradient there.
+    pub fn length_over(&self, at: &Point, point: &Point) -> (f64, Vector3<f64>) {
+        let way = at - point;
+        match self {
+            Self::Back => (way.norm(), way.normalize()),
+            Self::From(lit) => ((lit - point).norm() + way.norm(), way.normalize()),
+            Self::Apart(pair) => pair.length_over(at, point),
+        }
+    }
+
     /// Unit normal of a surface that reflects at the point.
     pub fn normal(&self, at: &Point, point: &Point, direction: &Vector3<f64>) -> Vector3<f64> {
         match self {
@@ -140,10 +150,15 @@ impl Pair {
 
     /// What is left of length and gradient.
     fn off(&self, at: &Point, point: &Point, length_m: f64, direction: &Vector3<f64>) -> Vector3<f64> {
+        let (told_m, gradient) = self.length_over(at, point);
+        let along = self.along.map(|axis| axis.dot(&(gradient - direction)));
+        Vector3::new(told_m - length_m, along[0], along[1])
+    }
+
+    fn length_over(&self, at: &Point, point: &Point) -> (f64, Vector3<f64>) {
         let (ways, moves) = (self.ways(at, point), self.moves());
         let gradient = (moves[0].tr_mul(&ways[0].normalize()) + moves[1].tr_mul(&ways[1].normalize())) * 0.5;
-        let along = self.along.map(|axis| axis.dot(&(gradient - direction)));
-        Vector3::new(0.5 * (ways[0].norm() + ways[1].norm()) - length_m, along[0], along[1])
+        (0.5 * (ways[0].norm() + ways[1].norm()), gradient)
     }
 
     fn point(&self, at: &Point, length_m: f64, direction: &Vector3<f64>) -> Point {

@@ -31,6 +31,11 @@ impl Background {
     /// No tail.
     pub const CONSTANT: Self = Self { constant: f64::INFINITY, from_ps: 0.0, decline_ps: 1.0 };
 
+    /// Light that declines as this power of time about one.
+    pub(super) fn declining(time_ps: f64, power: f64) -> Self {
+        Self { constant: 0.0, from_ps: time_ps, decline_ps: time_ps / power }
+    }
+
     /// The likeliest shape before the first returns of histograms. Levels are taken as constant; histograms whose bins
     /// are not as wide as those of the first one tell nothing.
     #[must_use]

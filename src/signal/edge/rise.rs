@@ -10,13 +10,16 @@ const BEHIND: f64 = 2.5;
 /// How far up a rise goes on, in the same unit.
 const UP: f64 = 3.0;
 
+/// Behind a rise light may grow for so long by itself; and the least and the most of each of two stretches before a
+/// later rise.
+pub(super) const RISEN: f64 = 3.0;
+const STRETCH: [f64; 2] = [3.0, 5.0];
+
 /// About when light first rises above what lies before it, by at least `threshold` standard deviations; `None` where
 /// it does not.
 #[must_use]
 pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64> {
-    let mut sums = Vec::with_capacity(bins.values.len() + 1);
-    sums.push(0.0);
-    bins.values.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
+    let sums = sums(bins);
     let wide = |sigmas: f64| wide(sigmas * sigma_ps, bins.dt_ps);
     let [before, gap, behind] = [BEFORE, GAP, BEHIND].map(wide);
     let score = |at: usize| {
@@ -34,11 +37,79 @@ pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64>
     };
     let last = bins.values.len().saturating_sub(behind);
     let start = (0..last).find(|at| score(*at) > threshold)?;
-    // Strong light exceeds the threshold long before it has risen: on to where the score rises no more.
-    let largest = |from: usize| (from..(from + wide(UP)).min(last)).max_by(|a, b| score(*a).total_cmp(&score(*b)));
+    Some(time_ps(bins, sigma_ps, up(start, last, wide(UP), score)))
+}
+
+/// About when light rises again behind a rise, by at least `threshold` standard deviations above both a level and a
+/// line through what lies before it: light of a corner grows steadily, that of a small thing declines ever more slowly.
+/// Things are told apart where their light is ten standard deviations of the response apart, or more.
+#[must_use]
+pub fn later_rises(bins: &Bins<'_>, sigma_ps: f64, threshold: f64, first_ps: f64) -> Vec<f64> {
+    let sums = sums(bins);
+    let wide = |sigmas: f64| wide(sigmas * sigma_ps, bins.dt_ps);
+    let [gap, behind, risen] = [GAP, BEHIND, RISEN].map(wide);
+    let [least, most] = STRETCH.map(wide);
+    let score = |at: usize, from: usize| {
+        let stretch = (at.saturating_sub(from + gap) / 2).min(most);
+        if stretch < least {
+            return f64::NEG_INFINITY;
+        }
+        let (end, ratio) = (at - gap, behind as f64 / stretch as f64);
+        let sum = |from: usize, to: usize| sums[to] - sums[from];
+        let light = sum(at, at + behind);
+        let variance = match bins.noise {
+            Noise::Counts => light,
+            Noise::Gauss { sd } => sd * sd * behind as f64,
+        };
+        let above = light - 0.5 * ratio * sum(end - 2 * stretch, end);
+        // With the noise of the light alone: most light is no rise, and that is soon said.
+        if above <= 0.0 || above * above <= threshold * threshold * variance {
+            return f64::NEG_INFINITY;
+        }
+        let stretches = [sum(end - 2 * stretch, end - stretch), sum(end - stretch, end)];
+        // By how much the middle of the light lies behind that of the second stretch, over a stretch.
+        let ahead = 0.5 + (gap as f64 + 0.5 * behind as f64) / stretch as f64;
+        let excess = |[first, second]: [f64; 2]| {
+            let before = ratio * (first * stretches[0] + second * stretches[1]);
+            let of_stretches = match bins.noise {
+                Noise::Counts => ratio * ratio * (first * first * stretches[0] + second * second * stretches[1]),
+                Noise::Gauss { .. } => variance * ratio * (first * first + second * second),
+            };
+            (light - before) / (variance + of_stretches).sqrt()
+        };
+        excess([0.5, 0.5]).min(excess([-ahead, 1.0 + ahead]))
+    };
+    let last = bins.values.len().saturating_sub(behind);
+    let place = |time_ps: f64| ((time_ps - bins.first_ps) / bins.dt_ps).max(0.0) as usize;
+    let mut rises = Vec::new();
+    let mut from = place(first_ps) + risen;
+    while let Some(start) = (from..last).find(|at| score(*at, from) > threshold) {
+        let best = up(start, last, wide(UP), |at| score(at, from));
+        let rise_ps = time_ps(bins, sigma_ps, best);
+        rises.push(rise_ps);
+        from = place(rise_ps) + risen;
+    }
+    rises
+}
+
+/// Sums of the values before each bin.
+fn sums(bins: &Bins<'_>) -> Vec<f64> {
+    let mut sums = Vec::with_capacity(bins.values.len() + 1);
+    sums.push(0.0);
+    bins.values.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
+    sums
+}
+
+/// Strong light exceeds the threshold long before it has risen: on to where the score rises no more.
+fn up(start: usize, last: usize, wide: usize, score: impl Fn(usize) -> f64) -> usize {
+    let largest = |from: usize| (from..(from + wide).min(last)).max_by(|a, b| score(*a).total_cmp(&score(*b)));
     let mut best = start;
     while let Some(next) = largest(best).filter(|next| *next > best) {
         best = next;
     }
-    Some(bins.first_ps + (best as f64 - 0.5) * bins.dt_ps + 0.5 * sigma_ps)
+    best
+}
+
+fn time_ps(bins: &Bins<'_>, sigma_ps: f64, bin: usize) -> f64 {
+    bins.first_ps + (bin as f64 - 0.5) * bins.dt_ps + 0.5 * sigma_ps
 }

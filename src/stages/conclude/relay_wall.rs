@@ -80,7 +80,10 @@ fn points_of_surface(points: &[SurfacePoint], omissions: &[Omission], is_presume
         }
         None => "light rises in too few histograms, or at times that no surface has".to_owned(),
     };
-    let evidence = format!("{evidence}{}", without_point(omissions));
+    let later = points.iter().filter(|point| point.rank > 1).count() as i32;
+    let behind =
+        if later > 0 { format!("; {later} of them by light that rises again behind the first") } else { String::new() };
+    let evidence = format!("{evidence}{behind}{}", without_point(omissions));
     decision("surface", &chosen, &evidence, "more photons, or more points of the wall")
 }
 
@@ -102,7 +105,7 @@ fn without_point(omissions: &[Omission]) -> String {
         (number > 0).then(|| format!("{number} with {words}"))
     });
     let parts = parts.collect::<Vec<_>>().join(", ");
-    format!("; without a point, in `surface.omissions`: {parts}")
+    format!("; without a point of first light, in `surface.omissions`: {parts}")
 }
 
 /// What these points lie on.

@@ -142,7 +142,10 @@ fn the_surface_of_an_extended_object_follows_its_verdict() {
     };
     let row = of("extended-object", 3).expect("an extended object has a surface");
     assert!(row.chosen.starts_with("3 points") && row.evidence.contains("3 smooth") && row.evidence.contains("2.0 mm"));
-    assert!(row.evidence.ends_with("without a point, in `surface.omissions`: 2 with no light that rises"), "{row:?}");
+    assert!(
+        row.evidence.ends_with("without a point of first light, in `surface.omissions`: 2 with no light that rises"),
+        "{row:?}"
+    );
     assert!(of("extended-object", 0).is_some_and(|row| row.chosen.starts_with("no surface")));
     assert_eq!(of("points", 3), None);
 }

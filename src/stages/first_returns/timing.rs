@@ -5,7 +5,9 @@ use rayon::prelude::*;
 
 use crate::cancel::Cancel;
 use crate::geometry::Point;
-use crate::geometry::first_return::{Face, Lit, Place, Return, Scan, SurfacePoint, alike, surface_points};
+use crate::geometry::first_return::{
+    Face, GROWN, Lit, Place, Return, Scan, SurfacePoint, Systematic, alike, layers, surface_points,
+};
 use crate::priors::campaign_fields::Medium;
 use crate::signal::edge::{self, Background, Bins, Early, FirstReturn, Noise, Rises, Window};
 
@@ -22,18 +24,31 @@ pub struct Timing<'a> {
     pub rises: &'a Rises,
     /// Standard deviations by which light rises at its first return.
     pub threshold_sigma: f64,
+    /// Errors that all points of the wall share.
+    pub systematic: Systematic,
 }
 
 /// What the histograms of a scan show.
 #[derive(Clone, Debug)]
 pub struct Shown {
-    /// Points of the surface, each with the number of its histogram.
-    pub points: Vec<(usize, SurfacePoint)>,
-    /// The other histograms.
+    /// Points of surfaces, by histogram and rank.
+    pub points: Vec<ShownPoint>,
+    /// Histograms whose first light shows no point.
     pub omitted: Vec<Omitted>,
 }
 
-/// A histogram that shows no point of the surface.
+/// A point of a surface, and the light that shows it.
+#[derive(Clone, Debug)]
+pub struct ShownPoint {
+    /// Number of the histogram.
+    pub number: usize,
+    /// 1 of first light, more of light of things behind: one more than the rises before it.
+    pub rank: usize,
+    /// The point.
+    pub point: SurfacePoint,
+}
+
+/// A histogram whose first light shows no point of a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Omitted {
     /// Its number.
@@ -75,7 +90,7 @@ impl Histogram for (Point, Bins<'_>) {
     }
 }
 
-/// Bins about the first rise of a histogram, and what lies before it.
+/// Bins about a rise of a histogram, and what lies before the first one.
 struct Rise {
     first_ps: f64,
     dt_ps: f64,
@@ -86,90 +101,159 @@ struct Rise {
 }
 
 impl Rise {
+    fn new(Bins { first_ps, dt_ps, values, noise }: Bins<'_>, time_ps: f64, early: Option<Early>) -> Self {
+        Self { first_ps, dt_ps, values: values.to_vec(), noise, time_ps, early }
+    }
+
     fn bins(&self) -> Bins<'_> {
         Bins { first_ps: self.first_ps, dt_ps: self.dt_ps, values: &self.values, noise: self.noise }
     }
 }
 
+/// A rise that is timed.
+struct Timed<'a> {
+    number: usize,
+    rank: usize,
+    window: Window<'a>,
+    place: Place,
+    /// Of the light, as of a surface without an edge near.
+    height: f64,
+}
+
 impl Timing<'_> {
-    /// Points of the surface that histograms show. Each histogram is asked for once; of its bins those about its first
-    /// rise are kept, and sums of those before.
+    /// Points of surfaces that histograms show. Each histogram is asked for once; of its bins those about its rises are
+    /// kept, and sums of those before the first.
     #[must_use]
     pub fn shown<H: Histogram>(&self, count: usize, histogram: impl Fn(usize) -> H + Sync, cancel: &Cancel) -> Shown {
-        let rises = self.rises;
-        let rise = |number: usize| {
+        let rises = |number: usize| {
             cancel.check();
             let histogram = histogram(number);
-            let all = histogram.bins();
-            let rise_ps = edge::first_rise(&all, rises.sigma_ps(), self.threshold_sigma);
-            let about = |rise_ps| {
-                let Bins { first_ps, dt_ps, values, noise } = all.about(rise_ps, rises.sigma_ps());
-                let early = self.steepest().and_then(|_| Early::before(&all, rises.sigma_ps(), rise_ps));
-                Rise { first_ps, dt_ps, values: values.to_vec(), noise, time_ps: rise_ps, early }
-            };
-            (histogram.seen(), rise_ps.map(about))
+            (histogram.seen(), self.rises_of(&histogram.bins()))
         };
-        let all: Vec<(Point, Option<Rise>)> = (0..count).into_par_iter().map(rise).collect();
-        let shown = all.iter().filter_map(|(_, rise)| rise.as_ref());
-        let before: Vec<(Bins<'_>, f64)> = shown.map(|rise| (rise.bins(), rise.time_ps)).collect();
-        let background = Background::before(&before, rises.sigma_ps());
-        let mut timed: Vec<(usize, Window<'_>, Place)> = all
-            .par_iter()
-            .enumerate()
-            .filter_map(|(n, (seen, rise))| {
-                cancel.check();
-                let rise = rise.as_ref()?;
-                let window = Window::about(&rise.bins(), rises, background, rise.time_ps)?;
-                let [step, edge, corner] = window.first_returns().map(|first| self.returned(first));
-                Some((n, window, Place { seen: *seen, returns: [step?, edge?, corner?] }))
-            })
-            .collect();
-        let are_from_behind = self.are_from_behind(&all, &timed, cancel);
+        let all: Vec<(Point, Vec<Rise>)> = (0..count).into_par_iter().map(rises).collect();
+        let first = self.first(&all, cancel);
+        let are_from_behind = self.are_from_behind(&all, &first, cancel);
         let mut light = vec![None; count];
-        timed.iter().for_each(|(n, _, place)| light[*n] = Some(place.returns[0]));
-        timed.retain(|(n, ..)| !are_from_behind[*n]);
-        let places = timed.iter().map(|(.., place)| *place).collect();
-        let sigma_m = self.medium.path_m(rises.sigma_ps());
-        let lit = match self.lit {
-            Lit::Apart(halves) => Lit::Apart(timed.iter().map(|(n, ..)| halves[*n]).collect()),
-            other => other.clone(),
-        };
-        let scan = Scan { lit, inwards: self.inwards, sigma_m, places };
-        let again = |place: usize, laws: &[Vec<Face>], length_m: f64| {
-            let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
-            let laws: Vec<Vec<edge::Face>> = laws.iter().map(|faces| faces.iter().map(face).collect()).collect();
-            let first = timed[place].1.first_returns_near(&laws, self.medium.time_ps(length_m));
-            first.into_iter().map(|first| self.returned(first)).collect()
-        };
-        let points = surface_points(&scan, again, cancel).into_iter().map(|point| (timed[point.place].0, point));
-        let points: Vec<(usize, SurfacePoint)> = points.collect();
-        let why = |n: usize| match (&all[n].1, light[n]) {
+        first.iter().for_each(|one| light[one.number] = Some(one.place.returns[0]));
+        let (behind, first): (Vec<Timed<'_>>, _) = first.into_iter().partition(|one| are_from_behind[one.number]);
+        let mut points = self.points(&first, 0, cancel);
+        let mut is_shown = vec![false; count];
+        points.iter().for_each(|point| is_shown[point.number] = true);
+        points.extend(self.points_behind(self.later(&all, &behind, cancel), cancel));
+        points.sort_by_key(|point| (point.number, point.rank));
+        let why = |n: usize| match (all[n].1.first(), light[n]) {
             (None, _) => Why::NoRise,
             (Some(_), None) => Why::Untimed,
             _ if are_from_behind[n] => Why::EarlierLight,
             _ => Why::NoField,
         };
-        let mut is_shown = vec![false; count];
-        points.iter().for_each(|(n, _)| is_shown[*n] = true);
         let omitted = (0..count).filter(|n| !is_shown[*n]).map(|n| Omitted { number: n, why: why(n), light: light[n] });
         Shown { points, omitted: omitted.collect() }
     }
 
+    /// The rises of a histogram, in order of time.
+    fn rises_of(&self, all: &Bins<'_>) -> Vec<Rise> {
+        let (sigma_ps, threshold) = (self.rises.sigma_ps(), self.threshold_sigma);
+        let Some(first_ps) = edge::first_rise(all, sigma_ps, threshold) else { return Vec::new() };
+        let early = self.steepest().and_then(|_| Early::before(all, sigma_ps, first_ps));
+        let mut rises = vec![Rise::new(all.about(first_ps, sigma_ps), first_ps, early)];
+        for later_ps in edge::later_rises(all, sigma_ps, threshold, first_ps) {
+            let before_ps = rises[rises.len() - 1].time_ps;
+            rises.push(Rise::new(all.about_later([before_ps, later_ps], sigma_ps), later_ps, None));
+        }
+        rises
+    }
+
+    /// First light of the histograms that have it.
+    fn first<'a>(&'a self, all: &'a [(Point, Vec<Rise>)], cancel: &Cancel) -> Vec<Timed<'a>> {
+        let first = all.iter().filter_map(|(_, rises)| rises.first());
+        let before: Vec<(Bins<'_>, f64)> = first.map(|rise| (rise.bins(), rise.time_ps)).collect();
+        let background = Background::before(&before, self.rises.sigma_ps());
+        let timed = |(number, (seen, rises)): (usize, &'a (Point, Vec<Rise>))| {
+            cancel.check();
+            let rise = rises.first()?;
+            self.timed([number, 1], *seen, Window::about(&rise.bins(), self.rises, background, rise.time_ps)?)
+        };
+        all.par_iter().enumerate().filter_map(timed).collect()
+    }
+
+    /// Light of things behind: of later rises, and of the first ones of some histograms that have weaker light before.
+    fn later<'a>(&'a self, all: &'a [(Point, Vec<Rise>)], behind: &[Timed<'_>], cancel: &Cancel) -> Vec<Timed<'a>> {
+        let mut hidden_ones = vec![0; all.len()];
+        behind.iter().for_each(|one| hidden_ones[one.number] = 1);
+        let timed = |(number, (seen, rises)): (usize, &'a (Point, Vec<Rise>))| {
+            cancel.check();
+            let hidden = hidden_ones[number];
+            let of_rise = move |(n, rise): (usize, &'a Rise)| {
+                let window = Window::later(&rise.bins(), self.rises, rise.time_ps)?;
+                self.timed([number, n + 1 + hidden], *seen, window)
+            };
+            rises.iter().enumerate().skip(1 - hidden).filter_map(of_rise).collect::<Vec<_>>()
+        };
+        all.par_iter().enumerate().flat_map_iter(timed).collect()
+    }
+
+    fn timed<'a>(&self, [number, rank]: [usize; 2], seen: Point, window: Window<'a>) -> Option<Timed<'a>> {
+        let first = window.first_returns();
+        let height = first[0].as_ref()?.height;
+        let [step, edge, corner] = first.map(|first| self.returned(first));
+        let place = Place { seen, returns: [step?, edge?, corner?] };
+        Some(Timed { number, rank, window, place, height })
+    }
+
+    /// Points of surfaces behind others, sheet by sheet. Windows that did not grow are no surface: in caustics, such as
+    /// those of bowls, light rises too.
+    fn points_behind(&self, later: Vec<Timed<'_>>, cancel: &Cancel) -> Vec<ShownPoint> {
+        let light = later.iter().map(|one| (one.number, one.place.seen, one.place.returns[0].length_m));
+        let layers = layers(&light.collect::<Vec<_>>(), self.steepest().unwrap_or(2.0), cancel);
+        let mut later: Vec<Option<Timed<'_>>> = later.into_iter().map(Some).collect();
+        let of_layer = |layer: Vec<usize>| {
+            let layer: Vec<Timed<'_>> = layer.into_iter().filter_map(|one| later[one].take()).collect();
+            self.points(&layer, GROWN, cancel)
+        };
+        layers.into_iter().flat_map(of_layer).collect()
+    }
+
+    /// Points of the surfaces that light comes from, where so many places or more show them.
+    fn points(&self, timed: &[Timed<'_>], least: usize, cancel: &Cancel) -> Vec<ShownPoint> {
+        let lit = match self.lit {
+            Lit::Apart(halves) => Lit::Apart(timed.iter().map(|one| halves[one.number]).collect()),
+            other => other.clone(),
+        };
+        let places = timed.iter().map(|one| one.place).collect();
+        let sigma_m = self.medium.path_m(self.rises.sigma_ps());
+        let scan = Scan { lit, inwards: self.inwards, sigma_m, places, least };
+        let points_of = |scan: &Scan, later_m: &[f64]| {
+            let again = |place: usize, laws: &[Vec<Face>], length_m: f64| {
+                let face = |face: &Face| edge::Face { weight: face.weight, ends: face.ends };
+                let laws: Vec<Vec<edge::Face>> = laws.iter().map(|faces| faces.iter().map(face).collect()).collect();
+                let near_ps = self.medium.time_ps(length_m - later_m[place]);
+                let first = timed[place].window.first_returns_near(&laws, near_ps).into_iter();
+                let moved = |one: Return| Return { length_m: one.length_m + later_m[place], ..one };
+                first.map(|first| self.returned(first).map(moved)).collect()
+            };
+            surface_points(scan, again, cancel)
+        };
+        let shown = |point: SurfacePoint| {
+            let Timed { number, rank, .. } = timed[point.place];
+            ShownPoint { number, rank, point }
+        };
+        let mut points = points_of(&scan, &vec![0.0; timed.len()]);
+        let heights: Vec<f64> = timed.iter().map(|one| one.height).collect();
+        self.systematic.add(&scan, &heights, &mut points, points_of, cancel);
+        points.into_iter().map(shown).collect()
+    }
+
     /// Which histograms show light from behind: with those of their neighbours they have light before it.
-    fn are_from_behind(
-        &self,
-        all: &[(Point, Option<Rise>)],
-        timed: &[(usize, Window<'_>, Place)],
-        cancel: &Cancel,
-    ) -> Vec<bool> {
+    fn are_from_behind(&self, all: &[(Point, Vec<Rise>)], timed: &[Timed<'_>], cancel: &Cancel) -> Vec<bool> {
         let Some(steepest) = self.steepest() else { return vec![false; all.len()] };
         let sigma_ps = self.rises.sigma_ps();
         let mut places: Vec<(Point, Option<f64>)> = all.iter().map(|(seen, _)| (*seen, None)).collect();
         // Under whichever law it begins earliest.
         let first_m = |place: &Place| place.returns.iter().map(|one| one.length_m).fold(f64::INFINITY, f64::min);
-        timed.iter().for_each(|(n, _, place)| places[*n].1 = Some(first_m(place)));
+        timed.iter().for_each(|one| places[one.number].1 = Some(first_m(&one.place)));
         let early = |n: &usize| {
-            let early = all[*n].1.as_ref()?.early.as_ref()?;
+            let early = all[*n].1.first()?.early.as_ref()?;
             Some((early, self.medium.time_ps(places[*n].1?)))
         };
         let is_from_behind = |neighbours: &Vec<usize>| {

@@ -10,6 +10,7 @@ fn point(seen: i32) -> (Patch, SurfacePoint) {
     // Lengths are off by less than their errors, and not by a smooth function.
     let off_m = 2e-4 * f64::from((seen * 7) % 5 - 2);
     let row = SurfacePoint {
+        rank: 1,
         lit: seen,
         seen,
         x_m: on_plate.x,
