@@ -172,6 +172,9 @@ def judge(out, facets, walls, truth):
     if len(points) == 0:
         return [0, *[""] * 5, 0, "", "", 0, ""]
     later, points = points.filter(pl.col("rank") > 1), points.filter(pl.col("rank") == 1)
+    behind = [len(later), f"{(nearest_square(later, facets[0]) < HOLDS).mean():.2f}" if len(later) else ""]
+    if len(points) == 0:
+        return [0, *[""] * 5, 0, "", "", *behind]
     places = dict(zip(anchors["patch"], anchors.select("x_m", "y_m", "z_m").to_numpy()))
     near = cKDTree(walls).query([places[seen] for seen in points["seen"]])[1]
     off = points.select("x_m", "y_m", "z_m").to_numpy() - truth[near]
@@ -179,7 +182,6 @@ def judge(out, facets, walls, truth):
     shapes = table(out, "shapes")["kind"].to_list() if len(table(out, "shapes")) else []
     held = (squares(off, points) < HOLDS).mean()
     cells = [len(points), f"{held:.2f}", f"{np.median(error_mm):.1f}", f"{np.quantile(error_mm, 0.95):.0f}", f"{points['sd_m'].median() * 1e3:.1f}", ", ".join(shapes)]
-    behind = [len(later), f"{(nearest_square(later, facets[0]) < HOLDS).mean():.2f}" if len(later) else ""]
     nodes = table(out, "meshes.vertices")
     if len(nodes) == 0:
         return [*cells, 0, "", "", *behind]

@@ -24,11 +24,12 @@ impl Walls {
         Self { places: best.map(|patch| (patch.patch, Point::new(patch.x_m, patch.y_m, patch.z_m))).collect() }
     }
 
-    /// Sightings of points of surfaces, each with the number of its row. Those whose point of the wall is not lit
-    /// itself, or has no place, have none.
+    /// First light as it shows points of surfaces, each with the number of its row. Points of later returns have none,
+    /// nor those whose point of the wall is not lit itself, or has no place.
     #[must_use]
     pub fn sightings(&self, points: &[SurfacePoint]) -> Vec<(usize, Sighting)> {
-        points.iter().enumerate().filter_map(|(row, point)| Some((row, self.sighting(point)?))).collect()
+        let first = points.iter().enumerate().filter(|(_, point)| point.rank == 1);
+        first.filter_map(|(row, point)| Some((row, self.sighting(point)?))).collect()
     }
 
     fn sighting(&self, point: &SurfacePoint) -> Option<Sighting> {

@@ -67,9 +67,7 @@ impl Stage for FitMeshes {
 impl Apply for FitMeshes {
     fn apply(&self, context: &Context, group: Vec<SurfacePoint>) -> Result<Outcome<Mesh>, StageError> {
         let sighted = context.walls.sightings(&group);
-        // A surface lies behind every length of first light, not of what begins later.
-        let first = sighted.into_iter().filter(|(row, _)| group[*row].rank == 1);
-        let sightings: Vec<Sighting> = first.map(|(_, sighting)| sighting).collect();
+        let sightings: Vec<Sighting> = sighted.into_iter().map(|(_, sighting)| sighting).collect();
         let fields = height_fields(&sightings, &context.cancel);
         let numbered = || (1..).zip(&fields);
         let vertices: Vec<Vertex> =
