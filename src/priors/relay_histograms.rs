@@ -311,16 +311,25 @@ fn find_gate(histograms: &[Histogram<'_>], start_ps: f64, end_ps: f64) -> Option
 /// Sum of all histograms between two times, and the variance of each bin.
 pub fn sum(histograms: &[Histogram<'_>], [start_ps, end_ps]: [f64; 2]) -> (Vec<f64>, Vec<f64>) {
     let bins = ((end_ps - start_ps) / histograms[0].dt_ps()).max(0.0) as usize;
-    let (mut sum, mut variance) = (vec![0.0; bins], vec![0.0; bins]);
-    let all = Times { gate_ps: start_ps, end_ps, is_given: true };
+    let (mut counts, mut sum, mut variance) = (vec![0.0; bins], vec![0.0; bins], vec![0.0; bins]);
     for histogram in histograms {
-        let (_, values) = histogram.behind(&all);
-        // Photons vary by their number, which in the sum is large.
-        let variances = if histogram.is_counts() { values.clone() } else { histogram.variances(&all, &values) };
-        sum.iter_mut().zip(&values).for_each(|(sum, value)| *sum += value);
-        variance.iter_mut().zip(&variances).for_each(|(sum, value)| *sum += value);
+        let from = histogram.bin(start_ps);
+        match &histogram.waveform.light {
+            Light::Counts(of_bins) => add(&mut counts, of_bins[from..].iter().map(|count| f64::from(*count))),
+            Light::Volts { mean_v, se_v, sign, .. } => {
+                add(&mut sum, mean_v[from..].iter().map(|mean| sign * f64::from(*mean)));
+                add(&mut variance, se_v[from..].iter().map(|se| f64::from(*se).powi(2)));
+            }
+        }
     }
+    // Photons vary by their number, which in the sum is large.
+    add(&mut sum, counts.iter().copied());
+    add(&mut variance, counts.into_iter());
     (sum, variance)
+}
+
+fn add(sums: &mut [f64], values: impl Iterator<Item = f64>) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
 }
 
 /// The response in bins of `bin_m` of the wall's own light, where the histograms of a confocal scan begin with it.

@@ -16,7 +16,7 @@
 //! One histogram seldom shows where its surface ends. Whoever joins first returns of neighbours knows, and times them
 //! again ([`Window::first_return`]).
 //!
-//! Another thing behind the first begins to shine while the first still does ([`later_rises`]). Its first return is
+//! Another thing behind the first begins to shine while the first still does ([`rises()`]). Its first return is
 //! timed over the light of what is nearer ([`Window::later`]): there the background has a slope of its own, a fifth
 //! unknown.
 
@@ -29,7 +29,7 @@ mod window;
 pub use background::Background;
 pub use early::{Early, earlier_light};
 pub use law::{CORNER, EDGE, Ends, Face, Rise, Rises, STEP};
-pub use rise::{first_rise, later_rises};
+pub use rise::{first_rise, rises};
 pub use window::Window;
 
 use super::response::Response;

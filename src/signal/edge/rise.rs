@@ -19,7 +19,24 @@ const STRETCH: [f64; 2] = [3.0, 5.0];
 /// it does not.
 #[must_use]
 pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64> {
+    first(bins, &sums(bins), sigma_ps, threshold)
+}
+
+/// About when light rises: first, and again behind a rise, by at least `threshold` standard deviations above both a
+/// level and a line through what lies before it. Light of a corner grows steadily, that of a small thing declines ever
+/// more slowly. Things are told apart where their light is ten standard deviations of the response apart, or more.
+#[must_use]
+pub fn rises(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Vec<f64> {
     let sums = sums(bins);
+    let Some(first_ps) = first(bins, &sums, sigma_ps, threshold) else { return Vec::new() };
+    let mut rises = vec![first_ps];
+    while let Some(next_ps) = next(bins, &sums, (sigma_ps, threshold), rises[rises.len() - 1]) {
+        rises.push(next_ps);
+    }
+    rises
+}
+
+fn first(bins: &Bins<'_>, sums: &[f64], sigma_ps: f64, threshold: f64) -> Option<f64> {
     let wide = |sigmas: f64| wide(sigmas * sigma_ps, bins.dt_ps);
     let [before, gap, behind] = [BEFORE, GAP, BEHIND].map(wide);
     let score = |at: usize| {
@@ -40,16 +57,14 @@ pub fn first_rise(bins: &Bins<'_>, sigma_ps: f64, threshold: f64) -> Option<f64>
     Some(time_ps(bins, sigma_ps, up(start, last, wide(UP), score)))
 }
 
-/// About when light rises again behind a rise, by at least `threshold` standard deviations above both a level and a
-/// line through what lies before it: light of a corner grows steadily, that of a small thing declines ever more slowly.
-/// Things are told apart where their light is ten standard deviations of the response apart, or more.
-#[must_use]
-pub fn later_rises(bins: &Bins<'_>, sigma_ps: f64, threshold: f64, first_ps: f64) -> Vec<f64> {
-    let sums = sums(bins);
+/// The next rise behind one.
+fn next(bins: &Bins<'_>, sums: &[f64], (sigma_ps, threshold): (f64, f64), before_ps: f64) -> Option<f64> {
     let wide = |sigmas: f64| wide(sigmas * sigma_ps, bins.dt_ps);
     let [gap, behind, risen] = [GAP, BEHIND, RISEN].map(wide);
     let [least, most] = STRETCH.map(wide);
-    let score = |at: usize, from: usize| {
+    let place = |time_ps: f64| ((time_ps - bins.first_ps) / bins.dt_ps).max(0.0) as usize;
+    let from = place(before_ps) + risen;
+    let score = |at: usize| {
         let stretch = (at.saturating_sub(from + gap) / 2).min(most);
         if stretch < least {
             return f64::NEG_INFINITY;
@@ -80,24 +95,18 @@ pub fn later_rises(bins: &Bins<'_>, sigma_ps: f64, threshold: f64, first_ps: f64
         excess([0.5, 0.5]).min(excess([-ahead, 1.0 + ahead]))
     };
     let last = bins.values.len().saturating_sub(behind);
-    let place = |time_ps: f64| ((time_ps - bins.first_ps) / bins.dt_ps).max(0.0) as usize;
-    let mut rises = Vec::new();
-    let mut from = place(first_ps) + risen;
-    while let Some(start) = (from..last).find(|at| score(*at, from) > threshold) {
-        let best = up(start, last, wide(UP), |at| score(at, from));
-        let rise_ps = time_ps(bins, sigma_ps, best);
-        rises.push(rise_ps);
-        from = place(rise_ps) + risen;
-    }
-    rises
+    let start = (from..last).find(|at| score(*at) > threshold)?;
+    Some(time_ps(bins, sigma_ps, up(start, last, wide(UP), score)))
 }
 
 /// Sums of the values before each bin.
 fn sums(bins: &Bins<'_>) -> Vec<f64> {
-    let mut sums = Vec::with_capacity(bins.values.len() + 1);
-    sums.push(0.0);
-    bins.values.iter().for_each(|value| sums.push(sums[sums.len() - 1] + value));
-    sums
+    let mut sum = 0.0;
+    let before = bins.values.iter().map(|value| {
+        sum += value;
+        sum
+    });
+    std::iter::once(0.0).chain(before).collect()
 }
 
 /// Strong light exceeds the threshold long before it has risen: on to where the score rises no more.

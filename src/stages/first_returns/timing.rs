@@ -154,14 +154,16 @@ impl Timing<'_> {
     /// The rises of a histogram, in order of time.
     fn rises_of(&self, all: &Bins<'_>) -> Vec<Rise> {
         let (sigma_ps, threshold) = (self.rises.sigma_ps(), self.threshold_sigma);
-        let Some(first_ps) = edge::first_rise(all, sigma_ps, threshold) else { return Vec::new() };
-        let early = self.steepest().and_then(|_| Early::before(all, sigma_ps, first_ps));
-        let mut rises = vec![Rise::new(all.about(first_ps, sigma_ps), first_ps, early)];
-        for later_ps in edge::later_rises(all, sigma_ps, threshold, first_ps) {
-            let before_ps = rises[rises.len() - 1].time_ps;
-            rises.push(Rise::new(all.about_later([before_ps, later_ps], sigma_ps), later_ps, None));
-        }
-        rises
+        let times_ps = edge::rises(all, sigma_ps, threshold);
+        let first = times_ps.first().map(|first_ps| {
+            let early = self.steepest().and_then(|_| Early::before(all, sigma_ps, *first_ps));
+            Rise::new(all.about(*first_ps, sigma_ps), *first_ps, early)
+        });
+        let later = times_ps.windows(2).map(|both| {
+            let [before_ps, later_ps] = [both[0], both[1]];
+            Rise::new(all.about_later([before_ps, later_ps], sigma_ps), later_ps, None)
+        });
+        first.into_iter().chain(later).collect()
     }
 
     /// First light of the histograms that have it.

@@ -3,7 +3,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Poisson};
 
 use super::super::tests::{DT_PS, FAR_PS, SIGMA_PS, means, rises};
-use super::super::{EDGE, STEP, later_rises};
+use super::super::{EDGE, STEP, rises as rises_of};
 use super::*;
 
 /// What the fit climbs is what it compares: slopes are those of the logarithm, also where the rate is low or negative.
@@ -70,9 +70,8 @@ fn later_returns_err_as_stated() {
         for _ in 0..400 {
             let counts: Vec<f64> = means.iter().map(|mean| Poisson::new(*mean).unwrap().sample(&mut random)).collect();
             let bins = Bins { first_ps: FAR_PS, dt_ps: DT_PS, values: &counts, noise: Noise::Counts };
-            let later = later_rises(&bins, SIGMA_PS, 5.0, FAR_PS + 110.0);
-            let [rise_ps] = later[..] else { continue };
-            let bins = bins.about_later([FAR_PS + 110.0, rise_ps], SIGMA_PS);
+            let [first_ps, rise_ps] = rises_of(&bins, SIGMA_PS, 5.0)[..] else { continue };
+            let bins = bins.about_later([first_ps, rise_ps], SIGMA_PS);
             let one = Window::later(&bins, &rises, rise_ps).unwrap().first_return(&[Face::quarter(STEP)]).unwrap();
             let off = (one.time_ps - FAR_PS - 500.0) / one.sd_ps.hypot(one.common_ps);
             count += 1;
@@ -90,7 +89,10 @@ fn later_returns_err_as_stated() {
 #[test]
 fn light_of_one_thing_rises_once() {
     let mut random = ChaCha8Rng::seed_from_u64(20);
-    let small = |n: usize| 400.0 * (-(n as f64 * DT_PS - 100.0).max(0.0) / 60.0).exp();
+    let small = |n: usize| match n as f64 * DT_PS - 100.0 {
+        since_ps if since_ps < 0.0 => 0.0,
+        since_ps => 400.0 * (-since_ps / 60.0).exp(),
+    };
     let corner = means(1.0, 100.0, [2.0, 20.0]);
     for (name, means) in [
         ("declines", behind(DECLINE, [600.0, 0.0])),
@@ -100,9 +102,9 @@ fn light_of_one_thing_rises_once() {
         let mut rises = |means: &Vec<f64>| {
             let counts: Vec<f64> = means.iter().map(|mean| Poisson::new(*mean).unwrap().sample(&mut random)).collect();
             let bins = Bins { first_ps: 0.0, dt_ps: DT_PS, values: &counts, noise: Noise::Counts };
-            later_rises(&bins, SIGMA_PS, 5.0, 110.0).len()
+            rises_of(&bins, SIGMA_PS, 5.0).len()
         };
         let rises: usize = (0..400).map(|_| rises(&means)).sum();
-        assert_eq!(rises, 0, "{name}");
+        assert_eq!(rises, 400, "{name}");
     }
 }
