@@ -218,7 +218,7 @@ fn surfaces(scene: &Scene) -> Markup {
                                 td { (mesh.nodes) }
                                 td { (sig(1e3 * mesh.spacing_m, 3)) }
                                 td { (sig(1e3 * mesh.median_sd_m, 2)) }
-                                td { (mesh.bend_per_m) }
+                                td { (format!("{:.1}", mesh.bend_per_m)) }
                                 td { (mesh.wall_points) }
                                 td { (sig(mesh.misfit, 2)) }
                             }
