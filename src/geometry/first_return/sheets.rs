@@ -9,7 +9,6 @@ use crate::neighbours::neighbours;
 
 /// Nearest places whose light may go on, itself among them.
 const NEAREST: usize = 9;
-
 /// Light goes on beyond a place in directions whose cosine with that from where it comes is this one or more.
 const STRAIGHT: f64 = 0.9;
 /// Change of the slope that counts where nothing shows how light goes on, over the steepest slope.

@@ -57,7 +57,7 @@ impl Systematic {
         cancel: &Cancel,
     ) {
         assert_eq!(heights.len(), scan.places.len(), "each place has a height");
-        if points.is_empty() {
+        if *self == Self::default() || points.is_empty() {
             return;
         }
         let frame = Frame::of(scan);

@@ -159,6 +159,11 @@ impl<'a> Window<'a> {
         (0..self.bins.values.len()).map(|n| law.at(first_ps + n as f64 * self.bins.dt_ps)).collect()
     }
 
+    /// Least rate of a bin whose logarithm is taken.
+    fn floor(&self) -> f64 {
+        0.3 / self.bins.values.len() as f64
+    }
+
     /// Time of a bin behind the start, in standard deviations of the response.
     fn sigmas(&self, bin: usize) -> f64 {
         (self.bins.first_ps + bin as f64 * self.bins.dt_ps - self.start_ps) / self.rises.sigma_ps()
@@ -192,13 +197,11 @@ impl<'a> Window<'a> {
         let none = [[0.0; MOST]; MOST];
         let mut likelihood = Likelihood { unknowns, logarithm: 0.0, gradient: none[0], information: none };
         let Likelihood { logarithm, gradient, information, .. } = &mut likelihood;
-        let floor = 0.3 / self.bins.values.len() as f64;
-        let [_, background, height, slope, tilt] = unknowns;
+        let floor = self.floor();
         let bins = self.bins.values.iter().zip(&self.before).zip(law).enumerate();
-        for (n, ((value, before), [light, next, rise, next_rise])) in bins {
+        for (n, ((value, before), light)) in bins {
             let behind = if COUNT == MOST { self.sigmas(n) } else { 0.0 };
-            let rate = background * before + height * light + slope * next + tilt * behind;
-            let slopes = [-(height * rise + slope * next_rise), *before, *light, *next, behind];
+            let (rate, slopes) = rate(unknowns, [*before, behind], light);
             let (by_rate, weight) = match self.bins.noise {
                 Noise::Counts => {
                     // Below the floor, where the rate may be negative, the logarithm goes on as its parabola there.
@@ -310,20 +313,30 @@ impl<'a> Window<'a> {
 
     /// By how much a later return moves where the light of what is nearer bends by one standard deviation.
     fn moved_by_bend(&self, law: &Rise, unknowns: Unknowns, covariances: Unknowns) -> f64 {
-        let [time_ps, background, height, slope, tilt] = unknowns;
-        let of_bin = |(n, ([light, next, rise, next_rise], before)): (usize, ([f64; 4], &f64))| {
+        let [time_ps, background, ..] = unknowns;
+        let of_bin = |(n, (light, before)): (usize, ([f64; 4], &f64))| {
             let behind = self.sigmas(n);
-            let rate = background * before + height * light + slope * next + tilt * behind;
+            let (rate, slopes) = rate(unknowns, [*before, behind], &light);
             let weight = match self.bins.noise {
-                Noise::Counts => 1.0 / rate.max(0.3 / self.bins.values.len() as f64),
+                Noise::Counts => 1.0 / rate.max(self.floor()),
                 Noise::Gauss { sd } => 1.0 / (sd * sd),
             };
-            let slopes = [-(height * rise + slope * next_rise), *before, light, next, behind];
             let by: f64 = slopes.iter().zip(covariances).map(|(slope, covariance)| slope * covariance).sum();
             weight * by * background * BEND_SD * behind * behind
         };
         self.law_at(law, time_ps).into_iter().zip(&self.before).enumerate().map(of_bin).sum()
     }
+}
+
+/// Rate of a bin and its slopes, from what background and its slope add there, and the law.
+#[inline]
+fn rate(
+    [_, background, height, slope, tilt]: Unknowns,
+    [before, behind]: [f64; 2],
+    [light, next, rise, next_rise]: &[f64; 4],
+) -> (f64, Unknowns) {
+    let rate = background * before + height * light + slope * next + tilt * behind;
+    (rate, [-(height * rise + slope * next_rise), before, *light, *next, behind])
 }
 
 /// By how many standard deviations of its prior the slope over the height changes with each unknown.

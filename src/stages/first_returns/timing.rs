@@ -135,11 +135,11 @@ impl Timing<'_> {
         let are_from_behind = self.are_from_behind(&all, &first, cancel);
         let mut light = vec![None; count];
         first.iter().for_each(|one| light[one.number] = Some(one.place.returns[0]));
-        let (behind, first): (Vec<Timed<'_>>, _) = first.into_iter().partition(|one| are_from_behind[one.number]);
+        let first: Vec<Timed<'_>> = first.into_iter().filter(|one| !are_from_behind[one.number]).collect();
         let mut points = self.points(&first, 0, cancel);
         let mut is_shown = vec![false; count];
         points.iter().for_each(|point| is_shown[point.number] = true);
-        points.extend(self.points_behind(self.later(&all, &behind, cancel), cancel));
+        points.extend(self.points_behind(self.later(&all, &are_from_behind, cancel), cancel));
         points.sort_by_key(|point| (point.number, point.rank));
         let why = |n: usize| match (all[n].1.first(), light[n]) {
             (None, _) => Why::NoRise,
@@ -180,12 +180,10 @@ impl Timing<'_> {
     }
 
     /// Light of things behind: of later rises, and of the first ones of some histograms that have weaker light before.
-    fn later<'a>(&'a self, all: &'a [(Point, Vec<Rise>)], behind: &[Timed<'_>], cancel: &Cancel) -> Vec<Timed<'a>> {
-        let mut hidden_ones = vec![0; all.len()];
-        behind.iter().for_each(|one| hidden_ones[one.number] = 1);
+    fn later<'a>(&'a self, all: &'a [(Point, Vec<Rise>)], are_from_behind: &[bool], cancel: &Cancel) -> Vec<Timed<'a>> {
         let timed = |(number, (seen, rises)): (usize, &'a (Point, Vec<Rise>))| {
             cancel.check();
-            let hidden = hidden_ones[number];
+            let hidden = usize::from(are_from_behind[number]);
             let of_rise = move |(n, rise): (usize, &'a Rise)| {
                 let window = Window::later(&rise.bins(), self.rises, rise.time_ps)?;
                 self.timed([number, n + 1 + hidden], *seen, window)
@@ -207,6 +205,7 @@ impl Timing<'_> {
     /// those of bowls, light rises too.
     fn points_behind(&self, later: Vec<Timed<'_>>, cancel: &Cancel) -> Vec<ShownPoint> {
         let light = later.iter().map(|one| (one.number, one.place.seen, one.place.returns[0].length_m));
+        // Ways of pairs that move together change at both ends.
         let layers = layers(&light.collect::<Vec<_>>(), self.steepest().unwrap_or(2.0), cancel);
         let mut later: Vec<Option<Timed<'_>>> = later.into_iter().map(Some).collect();
         let of_layer = |layer: Vec<usize>| {
