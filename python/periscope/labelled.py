@@ -26,12 +26,18 @@ def dataset(table: Table, sensor: str | None) -> Any:
     dt_ps: NDArray[np.float64] = table["dt_ps"][rows]
     if np.ptp(dt_ps) > 0.0:
         raise ValueError("profiles have different times between samples; read the table through Arrow")
-    samples = table["mean_v"][rows]
+    means, errors, counts, levels = (table[name][rows] for name in ("mean_v", "se_v", "counts", "baseline_v"))
+    # Those of a photon counter follow from its counts.
+    means = [count - level if mean is None else mean for mean, count, level in zip(means, counts, levels)]
+    errors = [
+        np.sqrt(np.maximum(count, max(level, 1.0))) if error is None else error
+        for error, count, level in zip(errors, counts, levels)
+    ]
     first: NDArray[np.float64] = (t0_ps - t0_ps.min()) / dt_ps
     nearest = np.rint(first)
     is_one_grid = bool(np.abs(first - nearest).max() < ON_GRID)
     start = (nearest if is_one_grid else 0.0 * first).astype(np.int64)
-    shape = (len(lit), len(seen), int(max(n + len(values) for n, values in zip(start, samples))))
+    shape = (len(lit), len(seen), int(max(n + len(values) for n, values in zip(start, means))))
 
     def filled(values: Any) -> Any:
         whole = np.full(shape, np.nan)
@@ -51,12 +57,11 @@ def dataset(table: Table, sensor: str | None) -> Any:
     else:
         time = (all_axes, each(t0_ps)[:, :, None] + steps_ps, {"units": "ps"})
     variables: dict[str, Any] = {
-        "mean_v": (all_axes, filled(samples), {"units": "V", "long_name": "mean"}),
-        "se_v": (all_axes, filled(table["se_v"][rows]), {"units": "V", "long_name": "standard error of the mean"}),
+        "mean_v": (all_axes, filled(means), {"units": "V", "long_name": "mean"}),
+        "se_v": (all_axes, filled(errors), {"units": "V", "long_name": "standard error of the mean"}),
         "shots": (pair, each(table["shots"][rows]), {"long_name": "averaged shots"}),
         "noise_v": (pair, each(table["noise_v"][rows]), {"units": "V", "long_name": "noise of one shot"}),
     }
-    counts = table["counts"][rows]
     if all(values is not None for values in counts):
         variables["counts"] = (all_axes, filled(counts), {"long_name": "photons"})
     return xarray.Dataset(variables, coords={"lit": lit, "seen": seen, "time_ps": time})

@@ -86,7 +86,7 @@ fn scene_profiles<'a>(profiles: &'a [Profile], campaign: &Campaign) -> Result<Ve
         ));
     };
     let sensors: BTreeSet<&str> = profiles.iter().map(|profile| &*profile.sensor).collect();
-    let is_alike = |profile: &&Profile| (profile.dt_ps, profile.mean_v.len()) == (first.dt_ps, first.mean_v.len());
+    let is_alike = |profile: &&Profile| (profile.dt_ps, profile.samples()) == (first.dt_ps, first.samples());
     if sensors.len() > 1 || !profiles.iter().all(is_alike) {
         return Err(format!(
             "the profiles are of sensors {sensors:?}, with records that must be alike; a capture has one sensor and one time base: run a campaign of such"
@@ -142,12 +142,12 @@ fn on_one_grid(timed: &[Timed], dt_ps: f64) -> (Array, f64) {
         let near = bins.round();
         if (bins - near).abs() < IN_PLACE { (near as usize, 0.0) } else { (bins.floor() as usize, bins.fract()) }
     };
-    let bins = timed.iter().map(|timed| late(timed).0 + timed.profile.mean_v.len()).max().unwrap_or(0);
+    let bins = timed.iter().map(|timed| late(timed).0 + timed.profile.samples()).max().unwrap_or(0);
     let mut values = Vec::with_capacity(bins * timed.len());
     for one in timed {
         let samples = match &one.profile.counts {
             Some(counts) => counts.iter().map(|count| f64::from(*count)).collect(),
-            None => one.profile.mean_v.to_f64(),
+            None => one.profile.mean_v().to_f64(),
         };
         let (whole, fraction) = late(one);
         let mut delayed = vec![0.0; samples.len()];

@@ -52,7 +52,7 @@ use grow::Wall;
 const SURE: f64 = 3.0;
 /// By how much the curvature of lengths may be otherwise than that of a sphere or a cylinder, over one over the
 /// distance. Either is reported where it is surely likelier than a surface with such a departure: lengths of a small
-/// piece of a bent surface show no difference.
+/// piece of a bent surface show no difference, nor those of a narrow one across it.
 const BENT: f64 = 0.1;
 /// Logarithm of how much likelier a smooth departure may be. One that is likelier by less widens the errors.
 const DEPARTS: f64 = 5.0;
@@ -241,7 +241,8 @@ fn verdict(wall: &Wall<'_>, core: &Core, members: &[u32]) -> Option<Verdict> {
         likeliest(&mut SCATTERS.iter().map(|scatter| Excess { scatter: *scatter, ..Excess::NONE }))?;
     if first.kind.has_radius() {
         let length_m = median(members.iter().map(|n| wall.sightings[*n as usize].light.length_m).collect());
-        let departure_m = BENT * wall.reach_m(members).powi(2) / (2.0 * length_m);
+        let [_, narrow_m] = wall.reach_m(members);
+        let departure_m = BENT * narrow_m.powi(2) / (2.0 * length_m);
         let (bent, _) = evidence(Excess { departure_m, ..excess })?;
         if without - bent < SURE {
             return None;
@@ -282,7 +283,8 @@ fn lead(fits: &[Fit]) -> f64 {
 /// Errors of the members' lengths.
 fn errors(wall: &Wall<'_>, members: &[u32], Excess { scatter, departure_m }: Excess) -> Option<Errors> {
     let zone_m = median(members.iter().map(|n| wall.sightings[*n as usize].light.zone_m).collect());
-    let reach_m = wall.reach_m(members).max(zone_m);
+    let [reach_m, _] = wall.reach_m(members);
+    let reach_m = reach_m.max(zone_m);
     let law = |length_m: f64, share: f64| Smooth {
         length_m,
         sd_m: Box::new(move |one: &Sighting| one.light.law_m * share.sqrt()),

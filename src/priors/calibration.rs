@@ -98,7 +98,7 @@ impl Sensors {
 /// f32 samples.
 pub fn sd_v(profile: &Profile) -> Vec<f64> {
     let rounding_v = rounding_v(profile);
-    profile.se_v.iter().map(|se| f64::from(*se).max(rounding_v)).collect()
+    profile.se_v().iter().map(|se| f64::from(*se).max(rounding_v)).collect()
 }
 
 /// Standard deviation of a sample of a profile's mean away from pulses, at least the rounding of its f32 samples.
@@ -126,14 +126,14 @@ fn rounding_v(profile: &Profile) -> f64 {
 }
 
 fn largest_v(profile: &Profile) -> f64 {
-    f64::from(largest(&profile.mean_v, f32::MIN_POSITIVE, f32::abs))
+    f64::from(largest(&profile.mean_v(), f32::MIN_POSITIVE, f32::abs))
 }
 
 /// Autocorrelation of a profile's noise, smoothed to that of an autoregressive process of the order that its samples
 /// support.
 pub fn correlation(profile: &Profile) -> Vec<f64> {
     // A table made elsewhere may not say how many samples the noise comes from: at least a tenth of one shot's.
-    let usual = || profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let usual = || profile.samples() as f64 * BASELINE_SHARE;
     let samples = profile.noise_samples.map_or_else(usual, f64::from);
     noise::autoregressive(&profile.noise_acf.to_f64(), samples.max(1.0) as usize)
 }

@@ -40,7 +40,7 @@ impl FlightProfile {
         mut sd_v: Vec<f64>,
     ) -> Result<Self, String> {
         let correction = Correction::of(sessions, key, profile)?;
-        let mut mean_v = profile.mean_v.to_f64();
+        let mut mean_v = profile.mean_v().to_f64();
         correction.take_pickup_off(profile, period_ps, &mut mean_v, &mut sd_v)?;
         mean_v.iter_mut().for_each(|sample| *sample *= sensor.polarity);
         Ok(Self {

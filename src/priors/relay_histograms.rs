@@ -131,8 +131,8 @@ impl Waveform {
         let light = match profile.counts {
             Some(counts) => Light::Counts(counts),
             None => Light::Volts {
-                mean_v: profile.mean_v,
-                se_v: profile.se_v,
+                mean_v: profile.mean_v.unwrap_or_default(),
+                se_v: profile.se_v.unwrap_or_default(),
                 sign: sensor.polarity,
                 acf: profile.noise_acf,
             },

@@ -374,8 +374,8 @@ mod tests {
             shots: 100,
             t0_ps: T0_PS,
             dt_ps: DT_PS,
-            mean_v: mean_v.iter().copied().collect(),
-            se_v: vec![se_v; mean_v.len()].into_iter().collect(),
+            mean_v: Some(mean_v.iter().copied().collect()),
+            se_v: Some(vec![se_v; mean_v.len()].into_iter().collect()),
             noise_v: 10.0 * se_v,
             noise_acf: [1.0_f64].into_iter().collect(),
             ..Profile::default()

@@ -243,7 +243,7 @@ impl Waveform {
         let times_ps: Vec<f64> = impulses.iter().map(|impulse| impulse.time_ps).collect();
         let samples: Vec<Point> = match &curve {
             Some(curve) => (0..curve.measured_v.len()).map(|n| fitted(curve, n)).collect(),
-            None => (0..row.mean_v.len().min(row.se_v.len())).map(|n| measured(row, t0_ps, n)).collect(),
+            None => measured(row, t0_ps),
         };
         Self {
             points: thinned(&samples, row.dt_ps, &times_ps),
@@ -270,15 +270,20 @@ fn fitted(curve: &Curve, n: usize) -> Point {
     }
 }
 
-/// A sample without a curve. Of photons the number that was counted: what `average` takes for background may be light.
-fn measured(row: &Profile, t0_ps: f64, n: usize) -> Point {
-    let count = row.counts.as_ref().and_then(|counts| counts.get(n)).map(|count| f64::from(*count));
-    Point {
+/// Samples without a curve. Of photons the number that was counted: what `average` takes for background may be light.
+fn measured(row: &Profile, t0_ps: f64) -> Vec<Point> {
+    let counted = |count: &i32| (f64::from(*count), f64::from(*count).max(1.0).sqrt());
+    let samples: Vec<(f64, f64)> = match &row.counts {
+        Some(counts) => counts.iter().map(counted).collect(),
+        None => row.mean_v().to_f64().into_iter().zip(row.se_v().to_f64()).collect(),
+    };
+    let point = |(n, (mean_v, se_v)): (usize, (f64, f64))| Point {
         time_ps: t0_ps + n as f64 * row.dt_ps,
-        mean_v: count.unwrap_or(f64::from(row.mean_v[n])),
-        se_v: count.map_or(f64::from(row.se_v[n]), |count| count.max(1.0).sqrt()),
+        mean_v,
+        se_v,
         fitted_v: None,
-    }
+    };
+    samples.into_iter().enumerate().map(point).collect()
 }
 
 impl Waveforms {

@@ -182,7 +182,7 @@ impl Context {
 
 impl Stage for Average {
     const KIND: &'static str = "average";
-    const VERSION: u32 = 16;
+    const VERSION: u32 = 17; // no mean_v and se_v of photon counters
     const GRAIN: Grain = Grain::Capture;
     const BESIDE: &'static [Beside] = &[Beside { name: "calibration", table: "calibration", required: false }];
     const CONDITIONS: &'static [Condition] = &[Condition("outlier_sigma", "reject_outliers", &["true"])];

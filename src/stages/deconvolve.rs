@@ -433,10 +433,10 @@ impl Ready {
 impl Tools {
     /// Makes the averaged response of a profile the one at hand.
     fn take_up(&mut self, key: SensorRange, sensor: &Calibrated, profile: &Profile) -> Alike {
-        let Profile { dt_ps, mean_v, phase_shots, .. } = profile;
+        let Profile { dt_ps, phase_shots, .. } = profile;
         // Only shares of shots matter, but whole numbers compare exactly.
         let alike =
-            (key, dt_ps.to_bits(), mean_v.len(), calibration::cut_share(profile).to_bits(), phase_shots.clone());
+            (key, dt_ps.to_bits(), profile.samples(), calibration::cut_share(profile).to_bits(), phase_shots.clone());
         if self.response.as_ref().is_none_or(|(of, _)| *of != alike) {
             self.response = Some((alike.clone(), Arc::new(sensor.averaged(profile))));
         }

@@ -96,7 +96,7 @@ fn measurement(profile: &Profile, sensor: Option<&Sensor>) -> Measurement {
     let dark = [Role::Dark, Role::Blocked].iter().any(|role| *profile.role == *role.name());
     let row = blank(profile);
     if dark {
-        let (pickup_v, trials) = largest_deviation(&profile.mean_v.to_f64());
+        let (pickup_v, trials) = largest_deviation(&profile.mean_v().to_f64());
         return Measurement {
             pickup_v: Some(pickup_v),
             pickup_sd_v: Some(noise_of_mean(profile, &(0..0))),
@@ -112,7 +112,8 @@ fn measurement(profile: &Profile, sensor: Option<&Sensor>) -> Measurement {
 
 /// Fills in the columns of the pulse, if there is one.
 fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measurement {
-    let samples: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.calibrated.polarity).collect();
+    let samples: Vec<f64> =
+        profile.mean_v().iter().map(|value| f64::from(*value) * sensor.calibrated.polarity).collect();
     let response = sensor.calibrated.averaged(profile);
     let Some(start) = fit_pulse(&samples, profile.dt_ps, &response) else {
         return row;
@@ -148,14 +149,15 @@ fn with_pulse(row: Measurement, profile: &Profile, sensor: &Sensor) -> Measureme
 
 /// Standard error of the mean record, all samples together but for those that a pulse reaches.
 fn noise_of_mean(profile: &Profile, pulse: &Range<usize>) -> f64 {
-    let quiet = profile.se_v.iter().enumerate().filter(|(n, se)| !pulse.contains(n) && se.is_finite());
+    let se_v = profile.se_v();
+    let quiet = se_v.iter().enumerate().filter(|(n, se)| !pulse.contains(n) && se.is_finite());
     let (sum, count) = quiet.fold((0.0, 0), |(sum, count), (_, se)| (sum + f64::from(*se).powi(2), count + 1));
     if sum > 0.0 { (sum / f64::from(count)).sqrt() } else { profile.noise_v / f64::from(profile.shots).sqrt() }
 }
 
 /// The autocorrelation of the noise as far as it differs from 0 for certain.
 fn significant_acf(profile: &Profile) -> Vec<f64> {
-    let usual = || (profile.shots as usize).min(HEAD_SHOTS) as f64 * profile.mean_v.len() as f64 * BASELINE_SHARE;
+    let usual = || (profile.shots as usize).min(HEAD_SHOTS) as f64 * profile.samples() as f64 * BASELINE_SHARE;
     let judged = profile.noise_samples.map_or_else(usual, f64::from).max(1.0);
     let least = ACF_SIGMA / judged.sqrt();
     let acf = profile.noise_acf.to_f64();
@@ -179,7 +181,7 @@ fn spread(profile: &Profile, response: &Response, pulse: &pulse_fit::MeanPulse) 
     let height_v = (pulse.amplitude * response.height()).abs();
     // What the alignment leaves is no light that fluctuates.
     let extra = level * height_v + energy * height_v * height_v;
-    let reach = response.reach(pulse.time_ps, 0.0, profile.dt_ps, profile.mean_v.len());
+    let reach = response.reach(pulse.time_ps, 0.0, profile.dt_ps, profile.samples());
     let is_high =
         |n: &usize| response.value(*n as f64 * profile.dt_ps - pulse.time_ps) > HIGH_SHARE * response.height();
     let shots = f64::from(profile.shots);

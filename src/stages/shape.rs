@@ -46,7 +46,7 @@ pub struct Context {
 
 impl Stage for FitShapes {
     const KIND: &'static str = "shape";
-    const VERSION: u32 = 3;
+    const VERSION: u32 = 4;
     const GRAIN: Grain = Grain::All;
     const BESIDE: &'static [Beside] = &[Beside { name: "patches", table: "patches", required: true }];
     const SIDES: &'static [Side] = &[Side { name: "points", schema: SurfacePoint::schema }];

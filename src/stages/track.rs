@@ -245,7 +245,7 @@ impl State {
 /// When the strongest pulse of a run arrives, and the standard deviation of that; `None` where it shows none.
 fn delay(profile: &Profile, sensor: &Calibrated, cancel: &Cancel) -> Option<(f64, f64)> {
     let response = sensor.averaged(profile);
-    let mean_v: Vec<f64> = profile.mean_v.iter().map(|value| f64::from(*value) * sensor.polarity).collect();
+    let mean_v: Vec<f64> = profile.mean_v().iter().map(|value| f64::from(*value) * sensor.polarity).collect();
     let sd_v: Vec<f64> = calibration::sd_v(profile);
     let acf = calibration::correlation(profile);
     let record = sparse::Profile {
@@ -270,7 +270,7 @@ fn pickup_of(blocked: &[Profile]) -> Option<(f64, f64, Pickup)> {
     let alike: Vec<&Profile> = blocked.iter().filter(|profile| profile.dt_ps == dt_ps).collect();
     let place = |profile: &Profile| (profile.t0_ps / dt_ps).round() as i64;
     let first = alike.iter().map(|profile| place(profile)).max()?;
-    let end = alike.iter().map(|profile| place(profile) + profile.mean_v.len() as i64).min()?;
+    let end = alike.iter().map(|profile| place(profile) + profile.samples() as i64).min()?;
     let cut = |profile: &Profile, values: &[f32]| -> Vec<f64> {
         let start = (first - place(profile)) as usize;
         values[start..start + (end - first) as usize].iter().map(|value| f64::from(*value)).collect()
@@ -279,7 +279,7 @@ fn pickup_of(blocked: &[Profile]) -> Option<(f64, f64, Pickup)> {
         return None;
     }
     let parts: Vec<(Vec<f64>, Vec<f64>)> =
-        alike.iter().map(|profile| (cut(profile, &profile.mean_v), cut(profile, &profile.se_v))).collect();
+        alike.iter().map(|profile| (cut(profile, &profile.mean_v()), cut(profile, &profile.se_v()))).collect();
     let parts: Vec<Blocked<'_>> = parts.iter().map(|(mean_v, se_v)| Blocked { mean_v, se_v }).collect();
     if parts.iter().any(|part| part.se_v.iter().any(|se| *se <= 0.0)) {
         return None;

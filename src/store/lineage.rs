@@ -23,7 +23,15 @@ impl Digest {
     /// Digest of a JSON value in canonical form: keys sorted, no white space, shortest numbers that read back the same.
     #[must_use]
     pub fn of(value: &Value) -> Self {
-        Self::of_bytes(value.to_string().as_bytes())
+        Self::of_sorted(value)
+    }
+
+    /// The same of what has its keys sorted when it becomes JSON.
+    ///
+    /// # Panics
+    /// When it cannot become JSON.
+    pub(super) fn of_sorted(value: &impl Serialize) -> Self {
+        Self::of_bytes(&serde_json::to_vec(value).expect("plain data"))
     }
 
     /// Digest of a sequence of digests. `what` names what is joined.

@@ -49,7 +49,19 @@ impl StageId {
     /// Digest of all fields.
     #[must_use]
     pub fn recipe(&self) -> Digest {
-        Digest::of(&serde_json::to_value(self).expect("a stage id is plain data"))
+        /// The fields as a JSON value has them: in the order of their names.
+        #[derive(Serialize)]
+        struct Canonical<'a> {
+            arithmetic: &'a str,
+            fields: &'a Value,
+            inputs: &'a BTreeMap<String, Digest>,
+            kind: &'a str,
+            params: &'a Value,
+            schemas: &'a Digest,
+            version: u32,
+        }
+        let Self { kind, version, params, fields, schemas, arithmetic, inputs } = self;
+        Digest::of_sorted(&Canonical { arithmetic, fields, inputs, kind, params, schemas, version: *version })
     }
 
     pub(super) fn folder(&self) -> String {

@@ -31,11 +31,11 @@ table! {
         t0_ps: f64,
         /// Time between samples.
         dt_ps: f64,
-        /// Mean signal.
-        mean_v: Samples,
+        /// Mean signal. Null for photon counters: their `counts`, less `baseline_v`, are the same.
+        mean_v: Option<Samples>,
         /// Standard error of each mean, by the noise model, without slow noise; infinite for a sample that every range
-        /// clipped.
-        se_v: Samples,
+        /// clipped. Null for photon counters: the root of the count, of `baseline_v` or of 1, whichever is largest.
+        se_v: Option<Samples>,
         /// Standard deviation of the noise of one shot, before the pulse, of all kinds.
         noise_v: f64,
         /// Autocorrelation of that noise without its slow part at lags 0, 1, 2...
@@ -85,5 +85,33 @@ table! {
         bounces: Option<i32>,
         /// Wall-clock time of the first shot, from its file (ISO 8601, time zone of the instrument).
         acquired_at: Option<Name>,
+    }
+}
+
+impl Profile {
+    /// Number of samples.
+    #[must_use]
+    pub fn samples(&self) -> usize {
+        match (&self.mean_v, &self.counts) {
+            (Some(mean_v), _) => mean_v.len(),
+            (None, counts) => counts.as_ref().map_or(0, Vec::len),
+        }
+    }
+
+    /// Mean signal: that of the table, or of what a photon counter counted.
+    #[must_use]
+    pub fn mean_v(&self) -> Samples {
+        self.mean_v.clone().unwrap_or_else(|| self.counted().map(|count| count - self.baseline_v).collect())
+    }
+
+    /// Standard error of each mean: that of the table, or of what a photon counter counted.
+    #[must_use]
+    pub fn se_v(&self) -> Samples {
+        let least = self.baseline_v.max(1.0);
+        self.se_v.clone().unwrap_or_else(|| self.counted().map(|count| count.max(least).sqrt()).collect())
+    }
+
+    fn counted(&self) -> impl Iterator<Item = f64> {
+        self.counts.iter().flatten().map(|count| f64::from(*count))
     }
 }

@@ -316,11 +316,11 @@ fn profiles_superpose() {
     for ((both, first), second) in both.iter().zip(&first).zip(&second) {
         let at = |row: &periscope::tables::Profile, time_ps: f64| {
             let n = ((time_ps - row.t0_ps) / row.dt_ps).round();
-            (n >= 0.0 && n < row.mean_v.len() as f64)
-                .then(|| (f64::from(row.mean_v[n as usize]), f64::from(row.se_v[n as usize])))
+            (n >= 0.0 && n < row.samples() as f64)
+                .then(|| (f64::from(row.mean_v()[n as usize]), f64::from(row.se_v()[n as usize])))
         };
         let (mut squares, mut count) = (0.0, 0);
-        for n in 0..both.mean_v.len() {
+        for n in 0..both.samples() {
             let time_ps = both.t0_ps + n as f64 * both.dt_ps;
             let parts: Option<Vec<(f64, f64)>> = [both, first, second].iter().map(|row| at(row, time_ps)).collect();
             let Some(parts) = parts else { continue };

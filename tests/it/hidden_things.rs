@@ -209,24 +209,36 @@ impl Thing {
         let steps = (capture.bins as f64 * capture.dt_ps / STEP_PS) as usize;
         let mut sums = vec![0.0; steps + 1];
         for (facet, normal, area_m2) in &self.facets {
-            let [to, from] = pair.map(|place| place - facet);
-            let at = (to.norm() + from.norm()) / LIGHT / STEP_PS;
-            let [there, back] = [to, from].map(|way| -normal.dot(&way) * way.z / way.norm_squared().powi(2));
-            if normal.dot(&to) > 0.0 && normal.dot(&from) > 0.0 && (at as usize) < steps {
-                let value = area_m2 * there * back;
-                sums[at as usize] += value * (1.0 - at.fract());
-                sums[at as usize + 1] += value * at.fract();
+            let (to, from) = (pair[0] - facet, pair[1] - facet);
+            let (there, back) = (normal.dot(&to), normal.dot(&from));
+            if there <= 0.0 || back <= 0.0 {
+                continue;
+            }
+            let (to_m2, from_m2) = (to.norm_squared(), from.norm_squared());
+            let at = (to_m2.sqrt() + from_m2.sqrt()) / (LIGHT * STEP_PS);
+            let step = at as usize;
+            if step < steps {
+                let value = area_m2 * there * to.z * back * from.z / (to_m2 * from_m2).powi(2);
+                let later = value * (at - step as f64);
+                sums[step] += value - later;
+                sums[step + 1] += later;
             }
         }
+        // Middles of bins lie on steps, so the response is needed at whole steps alone.
+        let of_bin = (0.5 * capture.dt_ps / STEP_PS) as usize;
+        assert_eq!(of_bin as f64 * STEP_PS, 0.5 * capture.dt_ps, "half a bin is no whole number of steps");
+        let before = (6.0 * FWHM_PS / 2.355 / STEP_PS) as usize;
+        let after = (TAIL_PS / STEP_PS) as usize;
+        let responses: Vec<f64> = (0..before + after).map(|n| response((n as f64 - before as f64) * STEP_PS)).collect();
         let mut light = vec![0.0; capture.bins];
-        let before = (6.0 * FWHM_PS / 2.355 / capture.dt_ps) as usize;
         for (n, sum) in sums.iter().enumerate().filter(|(_, sum)| **sum > 0.0) {
-            let arrival_ps = n as f64 * STEP_PS;
-            let first = ((arrival_ps / capture.dt_ps) as usize).saturating_sub(before);
-            let count = before + (TAIL_PS / capture.dt_ps) as usize;
-            for (bin, light) in light.iter_mut().enumerate().skip(first).take(count) {
-                *light += sum * response((bin as f64 + 0.5) * capture.dt_ps - arrival_ps);
-            }
+            let first = n.saturating_sub(before + of_bin).div_ceil(2 * of_bin);
+            let at = (2 * first + 1) * of_bin + before - n;
+            let of_bins = responses[at..].iter().step_by(2 * of_bin);
+            light[first.min(capture.bins)..]
+                .iter_mut()
+                .zip(of_bins)
+                .for_each(|(light, response)| *light += sum * response);
         }
         light
     }

@@ -193,9 +193,10 @@ fn imported(record: Record, seed: u64) -> Vec<Profile> {
         }
         let white: Vec<f64> = (0..rates.len() + 2).map(|_| StandardNormal.sample(&mut rng)).collect();
         let noise = white.windows(3).map(|window| window.iter().zip(MOVING).map(|(a, b)| a * b).sum::<f64>());
-        let mean_v = rates.iter().zip(noise).map(|(rate, noise)| 1e-3 * (rate + noise)).collect();
+        let mean_v = Some(rates.iter().zip(noise).map(|(rate, noise)| 1e-3 * (rate + noise)).collect());
+        let se_v = Some(vec![1e-3; rates.len()].into_iter().collect());
         let noise_acf = NOISE_ACF.into_iter().collect();
-        Profile { mean_v, se_v: vec![1e-3; rates.len()].into_iter().collect(), noise_acf, ..profile }
+        Profile { mean_v, se_v, noise_acf, ..profile }
     };
     pairs.into_iter().map(&mut of_pair).collect()
 }

@@ -96,7 +96,7 @@ fn compared(method: Method, raw: &[Stir], profiles: &[Profile], calibration: &Ca
         let phase_shots = profile.phase_shots.as_ref().unwrap();
         let response = averaged_response(&whole, profile.dt_ps, phase_shots, 1e-4);
         let samples: Vec<f64> = stir.profile.iter().map(|sample| f64::from(*sample)).collect();
-        let sd_v: Vec<f64> = profile.se_v.iter().map(|se| f64::from(*se)).collect();
+        let sd_v: Vec<f64> = profile.se_v().to_f64();
         let record = sparse::Profile {
             mean_v: &samples,
             sd_v: &sd_v,

@@ -88,10 +88,10 @@ fn triggers_of_a_slow_pulse_average_alike_with_and_without_their_trigger_times()
     for (name, edit) in [("aligned", ""), ("plain", "t0_ps = -20000.0\n")] {
         let profile: Profile = rows("lead-counter", &raw, pipeline, |text| text + edit, "profiles").remove(0);
         assert_eq!(profile.shots, 60);
-        let pulse: Vec<f64> = profile.mean_v.to_f64().iter().map(|value| -value).collect();
+        let pulse: Vec<f64> = profile.mean_v().to_f64().iter().map(|value| -value).collect();
         let top = pulse.iter().copied().fold(0.0, f64::max);
         let (low, high) = (crossing(&pulse, 0.1 * top), crossing(&pulse, 0.9 * top));
-        let error_v = profile.se_v.to_f64()[low as usize..=high as usize + 1].iter().copied().fold(0.0, f64::max);
+        let error_v = profile.se_v().to_f64()[low as usize..=high as usize + 1].iter().copied().fold(0.0, f64::max);
         eprintln!(
             "| 60 triggers, {name} | height {top:.3} V | rise 10 to 90 % {:.1} ps | largest standard error on the edge {:.2} mV, before the pulse {:.3} mV |",
             (high - low) * profile.dt_ps,

@@ -175,8 +175,8 @@ fn an_average_by_hand_is_the_profile() {
     let Some(answer) = ask("average", &["results=by-hand", "lit=2", "seen=4"]) else { return };
     let profiles: Vec<Profile> = rows("by-hand", "profiles");
     let profile = profiles.iter().find(|row| (row.lit, row.seen) == (2, 4)).unwrap();
-    assert_eq!((profile.shots, profile.rejected, answer.len()), (24, 0, profile.mean_v.len()));
-    for (i, (row, mean_v)) in answer.iter().zip(profile.mean_v.iter()).enumerate() {
+    assert_eq!((profile.shots, profile.rejected, answer.len()), (24, 0, profile.samples()));
+    for (i, (row, mean_v)) in answer.iter().zip(profile.mean_v().iter()).enumerate() {
         assert!((number(row, "by_hand_v") - f64::from(*mean_v)).abs() < 1e-7, "{row} {mean_v}");
         assert!((number(row, "time_ps") - profile.t0_ps - i as f64 * profile.dt_ps).abs() < 1e-6, "{row}");
         assert!(number(row, "profile_v") == f64::from(*mean_v) && integer(row, "shots") == 24);

@@ -92,9 +92,9 @@ fn heights_pulls(seed: u64) -> [f64; 2] {
     let heights: Vec<f64> = paths.iter().map(|path| path.height_v.unwrap()).collect();
     assert!(heights[0] > 0.3 && (0.01..0.03).contains(&heights[1]), "the scene is not what it should be: {heights:?}");
     assert!(profile.range.as_deref() == Some("fine") && profile.shots >= 390 && profile.clipped < 5, "{profile:?}");
-    assert!(profile.se_v.iter().all(|se| se.is_finite()) && profile.gain_sd < 0.02 && profile.jitter_ps < 2.0);
+    assert!(profile.se_v().iter().all(|se| se.is_finite()) && profile.gain_sd < 0.02 && profile.jitter_ps < 2.0);
     // The sensitive range's noise, but for the strong bounce and its surroundings.
-    let loud = profile.se_v.iter().filter(|se| **se > 3e-5).count();
+    let loud = profile.se_v().iter().filter(|se| **se > 3e-5).count();
     assert!((20..80).contains(&loud), "{loud} samples from the coarse range");
     // The true response as averaging leaves it, at the true times; weights as the profile says.
     let truth: Vec<Calibration> = lab.truth();
@@ -107,9 +107,9 @@ fn heights_pulls(seed: u64) -> [f64; 2] {
         let (value, slope) = response.value_and_slope(time_ps - paths[k % 2].time_ps);
         [value, value, -slope, -slope, 1.0][k]
     };
-    let samples = profile.mean_v.len();
-    let weighted = DMatrix::from_fn(samples, 5, |n, k| column(n, k) / f64::from(profile.se_v[n]));
-    let right = DVector::from_fn(samples, |n, _| f64::from(profile.mean_v[n]) / f64::from(profile.se_v[n]));
+    let samples = profile.samples();
+    let weighted = DMatrix::from_fn(samples, 5, |n, k| column(n, k) / f64::from(profile.se_v()[n]));
+    let right = DVector::from_fn(samples, |n, _| f64::from(profile.mean_v()[n]) / f64::from(profile.se_v()[n]));
     let covariance = (weighted.transpose() * &weighted).try_inverse().unwrap();
     let fit = &covariance * weighted.transpose() * &right;
     let chi2 = (&weighted * &fit - &right).norm_squared() / (samples - 5) as f64;
@@ -161,7 +161,7 @@ fn ranges_that_share_no_light_are_merged_by_what_is_stated() {
         for [(.., merged), (.., alone)] in &draws {
             assert!([merged, alone].iter().all(|profile| profile.range.as_deref() == Some("coarse")), "{name}");
             // Dark samples have the sensitive range's noise, except for those that its shift by 12 ps costs.
-            assert!(merged.se_v[40] < 0.2 * alone.se_v[40] && merged.gain_sd <= 0.021, "{name}: {merged:?}");
+            assert!(merged.se_v()[40] < 0.2 * alone.se_v()[40] && merged.gain_sd <= 0.021, "{name}: {merged:?}");
         }
         assert!(rms_ps(0) <= 1.1 * rms_ps(1) + 0.02, "{name}");
     }

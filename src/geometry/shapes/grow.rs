@@ -1,6 +1,6 @@
 //! Which places of a wall see a shape first.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Cholesky, Const, Matrix2, Matrix3, Vector2, Vector3};
 use periscope_cancel::Cancel;
 use rayon::prelude::*;
 
@@ -8,6 +8,7 @@ use super::core::{Core, Covariance, Unknowns};
 use super::{Kind, LEAST, Part, Sighting, median, spread};
 use crate::Point;
 use crate::axes::Scatter;
+use crate::first_return::FirstLight;
 use crate::neighbours::neighbours;
 
 /// Nearest places across which a shape grows, itself with them, and those of a start.
@@ -36,9 +37,26 @@ const RADII: [f64; 3] = [0.02, 0.15, 0.5];
 /// Sightings, and how they lie on the wall.
 pub struct Wall<'a> {
     pub sightings: &'a [Sighting],
+    /// Errors of each length and point.
+    errors: Vec<Errors>,
     /// Coordinates along the wall.
     walls: Vec<[f64; 2]>,
     near: Vec<Vec<u32>>,
+}
+
+/// By how much a length and a point may be off from a shape that still grows: `None` where the point's covariance is
+/// none.
+struct Errors {
+    sd_m: f64,
+    at_point: Option<Cholesky<f64, Const<3>>>,
+}
+
+impl Errors {
+    fn of(one: &Sighting) -> Self {
+        let FirstLight { sd_m, law_m, common_m, zone_m, .. } = one.light;
+        let covariance_m2 = one.covariance_m2 + Matrix3::identity() * (LOOSE * zone_m).powi(2);
+        Self { sd_m: sd_m.hypot(law_m).hypot(common_m), at_point: covariance_m2.cholesky() }
+    }
 }
 
 /// A sighting with its coordinates along the wall.
@@ -57,7 +75,8 @@ impl<'a> Wall<'a> {
         let points: Vec<Point> = sightings.iter().map(|one| one.seen).collect();
         let Scatter { middle, axes: [x, y, _], .. } = Scatter::of(&points);
         let walls = points.iter().map(|point| [x, y].map(|axis| axis.dot(&(point - middle)))).collect();
-        Some(Self { sightings, walls, near: neighbours(&points, START, cancel) })
+        let errors = sightings.iter().map(Errors::of).collect();
+        Some(Self { sightings, errors, walls, near: neighbours(&points, START, cancel) })
     }
 
     pub fn members(&self, members: &[u32]) -> Vec<Member<'a>> {
@@ -65,14 +84,16 @@ impl<'a> Wall<'a> {
         members.iter().map(member).collect()
     }
 
-    /// Root of the mean square distance of the members from their middle, on the wall.
-    pub fn reach_m(&self, members: &[u32]) -> f64 {
-        let of_axis = |axis: usize| {
-            let places = || members.iter().map(|n| self.walls[*n as usize][axis]);
-            let middle = places().sum::<f64>() / members.len() as f64;
-            places().map(|place| (place - middle).powi(2)).sum::<f64>() / members.len() as f64
-        };
-        (of_axis(0) + of_axis(1)).sqrt()
+    /// How far the members reach over the wall from their middle, and how far they would if they reached as far to all
+    /// sides as to the narrow one: roots of mean squares.
+    pub fn reach_m(&self, members: &[u32]) -> [f64; 2] {
+        let places = || members.iter().map(|n| Vector2::from(self.walls[*n as usize]));
+        let count = members.len() as f64;
+        let middle = places().sum::<Vector2<f64>>() / count;
+        let square =
+            places().map(|place| (place - middle) * (place - middle).transpose()).sum::<Matrix2<f64>>() / count;
+        let narrow_m2 = square.symmetric_eigenvalues().min().max(0.0);
+        [square.trace(), 2.0 * narrow_m2].map(f64::sqrt)
     }
 
     /// By how much lengths are off, and slopes of the distances.
@@ -84,7 +105,7 @@ impl<'a> Wall<'a> {
 
     /// Squared scores of lengths, as if they had nothing in common.
     pub fn square(&self, core: &Core, members: &[u32]) -> f64 {
-        members.iter().map(|n| score(core, &self.sightings[*n as usize]).powi(2)).sum()
+        members.iter().map(|n| self.score(core, *n as usize).powi(2)).sum()
     }
 
     /// Least squares with what lengths have in common left out: a start. `None` where the members do not determine it.
@@ -94,10 +115,10 @@ impl<'a> Wall<'a> {
         let mut damping = 1e-3;
         for _ in 0..STEPS {
             let (mut information, mut gradient) = (Covariance::identity(), Unknowns::zeros());
-            for one in members.iter().map(|n| &self.sightings[*n as usize]) {
-                let (slopes, sd_m) = (core.slopes(&one.seen), sd_m(one));
+            for place in members.iter().map(|n| *n as usize) {
+                let (slopes, sd_m) = (core.slopes(&self.sightings[place].seen), self.errors[place].sd_m);
                 information += slopes * slopes.transpose() / (sd_m * sd_m);
-                gradient += slopes * (score(&core, one) / sd_m);
+                gradient += slopes * (self.score(&core, place) / sd_m);
             }
             let mut damped = information;
             (0..information.nrows()).for_each(|k| damped[(k, k)] *= 1.0 + damping);
@@ -190,7 +211,7 @@ impl<'a> Wall<'a> {
         is_in[seed as usize] = true;
         while let Some(place) = open.pop() {
             for next in self.near[place as usize].iter().take(NEXT).map(|n| *n as usize) {
-                if free[next] && !is_in[next] && follows(core, &self.sightings[next]) {
+                if free[next] && !is_in[next] && self.follows(core, next) {
                     is_in[next] = true;
                     open.push(next as u32);
                 }
@@ -207,7 +228,7 @@ impl<'a> Wall<'a> {
         let mut beyond = 0;
         for next in members.iter().flat_map(|n| self.near[*n as usize].iter().take(NEXT)).map(|n| *n as usize) {
             let one = &self.sightings[next];
-            if !is_in[next] && one.part == Part::Smooth && !follows(core, one) {
+            if !is_in[next] && one.part == Part::Smooth && !self.follows(core, next) {
                 is_in[next] = true;
                 let gap_m = (core.foot(&one.seen).0 - one.point).norm();
                 beyond += usize::from(gap_m < NEAR * one.light.zone_m);
@@ -219,32 +240,30 @@ impl<'a> Wall<'a> {
     /// The places of each shape: of those that a place follows, the one that it follows best.
     pub fn shared(&self, cores: &[Core]) -> Vec<Vec<u32>> {
         let mut members = vec![Vec::new(); cores.len()];
-        for (place, one) in self.sightings.iter().enumerate() {
-            let near = cores.iter().enumerate().filter(|(_, core)| follows(core, one));
-            let best = near.min_by(|(_, a), (_, b)| score(a, one).abs().total_cmp(&score(b, one).abs()));
+        for place in 0..self.sightings.len() {
+            let near = cores.iter().enumerate().filter(|(_, core)| self.follows(core, place));
+            let off = |core: &Core| self.score(core, place).abs();
+            let best = near.min_by(|(_, a), (_, b)| off(a).total_cmp(&off(b)));
             if let Some((shape, _)) = best {
                 members[shape].push(place as u32);
             }
         }
         members
     }
-}
 
-fn sd_m(one: &Sighting) -> f64 {
-    one.light.sd_m.hypot(one.light.law_m).hypot(one.light.common_m)
-}
-
-/// By how many standard deviations a length is off.
-fn score(core: &Core, one: &Sighting) -> f64 {
-    (one.light.length_m - core.distance_m(&one.seen)) / sd_m(one)
-}
-
-/// Whether length and point are those of the shape, and the point is known to be smooth.
-fn follows(core: &Core, one: &Sighting) -> bool {
-    if one.part != Part::Smooth || score(core, one).abs() > FOLLOWS {
-        return false;
+    /// By how many standard deviations the length of a place is off.
+    fn score(&self, core: &Core, place: usize) -> f64 {
+        let one = &self.sightings[place];
+        (one.light.length_m - core.distance_m(&one.seen)) / self.errors[place].sd_m
     }
-    let off = core.foot(&one.seen).0 - one.point;
-    let covariance_m2 = one.covariance_m2 + Matrix3::identity() * (LOOSE * one.light.zone_m).powi(2);
-    covariance_m2.cholesky().is_some_and(|covariance| off.dot(&covariance.solve(&off)) < AT_POINT)
+
+    /// Whether length and point of a place are those of the shape, and the point is known to be smooth.
+    fn follows(&self, core: &Core, place: usize) -> bool {
+        let one = &self.sightings[place];
+        if one.part != Part::Smooth || self.score(core, place).abs() > FOLLOWS {
+            return false;
+        }
+        let off = core.foot(&one.seen).0 - one.point;
+        self.errors[place].at_point.as_ref().is_some_and(|root| off.dot(&root.solve(&off)) < AT_POINT)
+    }
 }

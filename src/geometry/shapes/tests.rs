@@ -157,6 +157,19 @@ fn the_crest_of_a_wave_is_no_sphere() {
     }
 }
 
+/// Across a strip of three columns lengths do not show how a surface is curved: it may be a sphere, or a saddle.
+#[test]
+fn a_narrow_strip_of_a_sphere_has_no_shape() {
+    let strip = |seen: &Point| {
+        let (point, _) = sphere(seen);
+        (point, if seen.x.abs() < 0.07 { Part::Smooth } else { Part::Unknown })
+    };
+    for seed in 0..6 {
+        let shapes = of_seed(seed, strip);
+        assert!(shapes.is_empty(), "seed {seed}: {:?} of {} places", shapes[0].kind(), shapes[0].members.len());
+    }
+}
+
 #[test]
 fn few_places_have_no_shape() {
     let all = sightings(1, sphere);

@@ -94,8 +94,8 @@ impl Histogram {
             clipped: 0,
             t0_ps: first.t0_ps,
             dt_ps: first.dt_ps,
-            mean_v: self.counts.iter().map(|count| count - baseline).collect(),
-            se_v: self.counts.iter().map(|count| count.max(baseline).max(1.0).sqrt()).collect(),
+            mean_v: None, // as `counts` says
+            se_v: None,
             // So that the noise of the profile is, as for other sensors, that of a shot over the root of the shots.
             noise_v: (baseline.max(1.0) * f64::from(self.records)).sqrt(),
             noise_acf: [1.0_f64].into_iter().collect(),

@@ -31,7 +31,7 @@ impl Record {
         let t0_ps = first as f64 * dt_ps;
         let period_ps = period_ps.filter(|period_ps| (2.0 * dt_ps..=mean_v.len() as f64 * dt_ps).contains(period_ps));
         let Some(period_ps) = period_ps else {
-            let (mean_v, se_v) = (mean_v.into_iter().collect(), se_v.into_iter().collect());
+            let [mean_v, se_v] = [mean_v, se_v].map(|values| Some(values.into_iter().collect()));
             return Profile { t0_ps, mean_v, se_v, ..profile };
         };
         // Weights need errors: without any noise all samples weigh the same.
@@ -48,8 +48,8 @@ impl Record {
         Profile {
             t0_ps: t0_ps + start as f64 * step_ps,
             dt_ps: step_ps,
-            mean_v: mean_v.into_iter().collect(),
-            se_v: folded_se_v.into_iter().collect(),
+            mean_v: Some(mean_v.into_iter().collect()),
+            se_v: Some(folded_se_v.into_iter().collect()),
             ..profile
         }
     }

@@ -2,8 +2,6 @@
 
 mod piece;
 
-use std::iter::empty;
-
 use super::clipping::Clipping;
 use super::noise::{Judges, Noise};
 use super::piece::Extent;
@@ -389,8 +387,8 @@ impl Shots {
             clipped: self.rejected.at_rails,
             t0_ps: 0.0,
             dt_ps: first.dt_ps,
-            mean_v: empty::<f64>().collect(),
-            se_v: empty::<f64>().collect(),
+            mean_v: None,
+            se_v: None,
             noise_v: noise.total_sd_v(records) * averaged.sqrt(),
             noise_acf: noise.acf.iter().copied().collect(),
             noise_model: noise.model.as_ref().map(|model| model.values.map(|value| value * averaged).to_vec()),

@@ -107,7 +107,7 @@ impl Context {
             return Err("holds photon counts, whose noise is not normal; they are not searched for hidden patches yet"
                 .to_owned());
         }
-        let length_ps = profile.dt_ps * profile.mean_v.len() as f64;
+        let length_ps = profile.dt_ps * profile.samples() as f64;
         if repetition_ps.is_some_and(|period_ps| period_ps < length_ps * (1.0 + 1e-6)) {
             return Err(
                 "wraps around the laser's period; such records are not searched for hidden patches yet".to_owned()
