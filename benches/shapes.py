@@ -2,11 +2,11 @@
 """Points of hidden surfaces from scans that this program renders, not periscope's own simulator. Prints a table of
 docs/surfaces.md.
 
-usage: shapes.py PERISCOPE WORK [THING ...] [--photons 3000] [--seeds 2] [--scans plain hard]
+usage: shapes.py PERISCOPE WORK [THING ...] [--photons 3000] [--seeds 2] [--scans plain hard] [--side 32]
 
 Surfaces are clouds of small facets that hide one another (the nearest one of each direction is seen). Scans are plain,
 or have a flaw: `gloss` of the facets, squares of two `albedos`, a response with a `tail` and a background that declines,
-`jitter` of 4 ps in the times of histograms; `hard` scans have all four. A scan has 32 x 32 points over a square metre,
+`jitter` of 4 ps in the times of histograms; `hard` scans have all four. A scan has `side` x `side` points over a square metre,
 bins of 8 ps, a response of 60 ps and so many photons of the thing in a mean histogram. The true point is the facet next
 to the wall's point. Needs NumPy, SciPy, h5py, Polars.
 """
@@ -20,7 +20,7 @@ import polars as pl
 from scipy.spatial import cKDTree
 
 LIGHT_M_PS = 2.99792458e-4
-SIDE, HALF_M, BINS, DT_PS, STEP_PS = 32, 0.5, 900, 8.0, 2.0
+HALF_M, BINS, DT_PS, STEP_PS = 0.5, 900, 8.0, 2.0
 SIGMA_PS = 60 / 2.355
 # Cells of the depth buffer, and the depth within which facets of a cell count as one surface.
 CELL_RAD, DEPTH_M = 0.008, 0.012
@@ -129,7 +129,7 @@ def seen(place, distance, wall):
     return out
 
 
-def render(thing, photons, seed, flaws):
+def render(thing, photons, seed, flaws, side):
     """Counts (bins, rows, columns), facets, points of the wall, and the true point of each."""
     rng = np.random.default_rng(seed)
     middle, turned = rng.uniform([-0.05, -0.05, 0.6], [0.05, 0.05, 0.75]), turn(*rng.uniform(-0.2, 0.2, 3))
@@ -137,7 +137,7 @@ def render(thing, photons, seed, flaws):
     place, normal = place @ turned.T + middle, normal @ turned.T
     squares = (np.floor(place[:, 0] / 0.06) + np.floor(place[:, 1] / 0.06)) % 2 > 0
     albedo = np.where(squares, 1, 0.25) if "albedos" in flaws else 1.0
-    along = np.linspace(-HALF_M, HALF_M, SIDE)
+    along = np.linspace(-HALF_M, HALF_M, side)
     walls = np.array([[x, y, 0.0] for y in along for x in along])
     has_tail = "tail" in flaws
     steps, pulse = int(BINS * DT_PS / STEP_PS), response(has_tail)
@@ -159,7 +159,7 @@ def render(thing, photons, seed, flaws):
     own = np.exp(-0.5 * (time / SIGMA_PS) ** 2) + has_tail * 0.12 * np.exp(-time / 300) * (1 - np.exp(-time / 25))
     background = 0.2 + 3e4 * own + has_tail * 1.5 * np.exp(-time / 2500)
     counts = rng.poisson(light * photons / light.sum(1).mean() + background).astype(float)
-    return counts.T.reshape(BINS, SIDE, SIDE), (place, normal), walls, truth
+    return counts.T.reshape(BINS, side, side), (place, normal), walls, truth
 
 
 def table(folder, name):
@@ -219,6 +219,7 @@ def main():
     parser.add_argument("--seeds", type=int, nargs="+", default=[2])
     parser.add_argument("--scans", choices=("plain", "hard", *FLAWS), nargs="+", default=["plain", "hard"])
     parser.add_argument("--photons", type=float, default=3000)
+    parser.add_argument("--side", type=int, default=32, help="points of the wall along a side")
     parser.add_argument("things", nargs="*", default=list(THINGS))
     args = parser.parse_args()
     args.work.mkdir(parents=True, exist_ok=True)
@@ -229,7 +230,7 @@ def main():
             for kind in args.scans:
                 folder = args.work / f"{thing}-{args.photons:.0f}-{seed}-{kind}".replace(" ", "-")
                 folder.mkdir(exist_ok=True)
-                counts, facets, walls, truth = render(THINGS[thing], args.photons, seed, FLAWS if kind == "hard" else (kind,))
+                counts, facets, walls, truth = render(THINGS[thing], args.photons, seed, FLAWS if kind == "hard" else (kind,), args.side)
                 with h5py.File(folder / "scan.mat", "w") as file:
                     file["rect_data"], file["width"] = counts, np.array([[HALF_M]])
                 run = lambda *words: subprocess.run([args.periscope, *words], cwd=folder, check=True, capture_output=True)

@@ -13,17 +13,22 @@ const OFF_M: f64 = 0.02;
 
 /// Sightings of a square metre with 28 x 28 places.
 fn sightings(seed: u64, nearest: &impl Fn(&Point) -> Point) -> Vec<Sighting> {
+    sightings_with(seed, nearest, [LAW_M, COMMON_M])
+}
+
+/// The same with these errors of the law and of all lengths beside their noise.
+fn sightings_with(seed: u64, nearest: &impl Fn(&Point) -> Point, [law_m, common_m]: [f64; 2]) -> Vec<Sighting> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let law = smooth(&mut random);
-    let shift_m = COMMON_M * normal(&mut random);
+    let shift_m = common_m * normal(&mut random);
     let at = |n: usize| (n as f64 + 0.5) / 28.0 - 0.5;
     (0..784)
         .map(|n| {
             let seen = Point::new(at(n % 28), at(n / 28), 0.0);
             let point = nearest(&seen);
             let length_m =
-                (seen - point).norm() + NOISE_M * normal(&mut random) + LAW_M * law(seen.x, seen.y) + shift_m;
-            let light = FirstLight { length_m, sd_m: NOISE_M, law_m: LAW_M, zone_m: ZONE_M, common_m: COMMON_M };
+                (seen - point).norm() + NOISE_M * normal(&mut random) + law_m * law(seen.x, seen.y) + shift_m;
+            let light = FirstLight { length_m, sd_m: NOISE_M, law_m, zone_m: ZONE_M, common_m };
             let off = Vector3::from_fn(|_, _| OFF_M * normal(&mut random));
             let covariance_m2 = Matrix3::identity() * OFF_M.powi(2);
             Sighting { seen, light, point: point + off, covariance_m2, part: Kind::Unknown, edges: 0.0 }
@@ -119,6 +124,33 @@ fn heights_of_concave_and_wavy_surfaces_lie_within_their_error_bars() {
 fn heights_of_spheres_and_plates_lie_within_their_error_bars() {
     holds("sphere", 40, sphere);
     holds("plate", 40, relief(|x, _| 0.3 * x));
+}
+
+/// Where lengths have noise alone, standard deviations are the root of the inverse of what lengths and the prior of
+/// curvatures tell: the Cramer-Rao bound for such a prior (van Trees). Curvatures are those of the surface, not drawn
+/// from the prior, and their size is not known before.
+#[test]
+fn heights_err_little_more_than_their_bound_allows() {
+    let surfaces: [(&str, Box<dyn Fn(&Point) -> Point>); 4] = [
+        ("sphere", Box::new(sphere)),
+        ("plate", Box::new(relief(|x, _| 0.3 * x))),
+        ("wavy", Box::new(relief(wavy))),
+        ("saddle", Box::new(relief(saddle))),
+    ];
+    for (name, nearest) in surfaces {
+        let (mut errors_m2, mut bounds_m2, mut nodes) = (0.0, 0.0, 0);
+        for seed in 0..SEEDS {
+            for field in height_fields(&sightings_with(seed, &nearest, [0.0; 2]), &Cancel::never()) {
+                errors_m2 +=
+                    field.nodes.iter().map(|one| (nearest(&one.point) - one.point).norm_squared()).sum::<f64>();
+                bounds_m2 += field.nodes.iter().map(|one| one.sd_m.powi(2)).sum::<f64>();
+                nodes += field.nodes.len();
+            }
+        }
+        let ratio = (errors_m2 / bounds_m2).sqrt();
+        println!("{name}: rms of {nodes} nodes {ratio:.2} of its bound");
+        assert!(nodes > 40 && ratio < 1.3, "{name}: {ratio}");
+    }
 }
 
 /// Edges and a corner do not say how the faces between them lie.
