@@ -36,7 +36,8 @@
 //! smallest windows shows; the error of the law of first light, which is a smooth random function over the wall
 //! ([`Scan::sigma_m`] sets its length, and its size but for flat faces, whose residuals tell it); what other windows
 //! and other faces say otherwise; and the mixture of bent fields and flat faces by their likelihoods. All but the first
-//! two are common to neighbours and do not average out.
+//! two are common to neighbours and do not average out. Where all these let a point slide by centimetres, it leaves the
+//! tangent of what has its length, which is a sphere about the place: that is added across.
 //!
 //! Source: Tsai et al., The Geometry of First-Returning Photons, CVPR 2017; Xin et al., A Theory of Fermat Paths,
 //! CVPR 2019. Windows by agreement: Lepski, Theory Probab. Appl. 35:454, 1990.
@@ -330,7 +331,7 @@ impl<'a> Rounds<'a> {
         let choice = Choice { bent: bent.as_ref(), flat: flat.as_ref(), ..self.choice(place) };
         let mut point =
             choice.surface_point(self.scan, member as usize, &light).filter(|point| point.places >= self.scan.least)?;
-        choice.add_edges(&mut point, edges);
+        choice.add_edges(&mut point, &light.at, edges);
         point.places = joined.count(point.places);
         Some(point)
     }

@@ -162,6 +162,10 @@ fn a_saddle_has_a_surface_and_a_box_has_none() {
     }
     hold("three saddles", &all, 1.5e-3);
     assert!(all.errors_m.len() > 120, "{} nodes", all.errors_m.len());
+    // Points of one length lie on an arc: before that was in their bars, 0.77 held.
+    let Results { points: [smooth, ..], .. } = results(&thing("saddle", 2001), &capture(32, 2001), 30_000.0);
+    println!("a saddle with much light: {} of {} smooth points", smooth.held, smooth.points);
+    assert!(smooth.points > 70 && smooth.held * 100 > 85 * smooth.points, "{} of {}", smooth.held, smooth.points);
     let Results { nodes, .. } = results(&thing("box", 2000), &capture(32, 2000), 3000.0);
     assert!(nodes.errors_m.is_empty(), "{} nodes", nodes.errors_m.len());
 }

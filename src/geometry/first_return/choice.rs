@@ -9,6 +9,7 @@ use super::odds;
 use super::way::Way;
 use super::windows::{Chosen, Reading};
 use super::{EDGES, FirstLight, Lit, Scan, SurfacePoint};
+use crate::Point;
 
 /// Power of a likelihood that counts: errors of the law are common to neighbours.
 const TEMPER: f64 = 0.3;
@@ -85,13 +86,28 @@ impl Choice<'_> {
         })
     }
 
-    /// Adds that there are edges with this probability where neither model has any: then the kind is not known.
-    pub fn add_edges(&self, point: &mut SurfacePoint, edges: f64) {
+    /// Adds that there are edges with this probability where neither model has any: then the kind is not known; and how
+    /// far the point of the place may slide.
+    pub fn add_edges(&self, point: &mut SurfacePoint, seen: &Point, edges: f64) {
         point.edges = edges;
         if edges > EDGES {
             (point.kind, point.curvatures_per_m) = (Kind::Unknown, None);
         }
         self.add_slides(point);
+        self.add_arc(point, seen);
+    }
+
+    /// Adds by how much a point lies off the plane along which it may slide: points of one length lie on a sphere about
+    /// the place, or on an ellipsoid, and leave its tangent by half of their squared distance over its radius. This
+    /// counts where nearest points are known to a decimetre and lengths to a millimetre.
+    fn add_arc(&self, point: &mut SurfacePoint, seen: &Point) {
+        let along = point.normal * point.normal.transpose();
+        let across = Matrix3::identity() - along;
+        let slides_m2 = across * point.covariance_m2 * across;
+        // The mean fourth power of a normal distribution's distance from its middle.
+        let fourth_m4 = slides_m2.trace().powi(2) + 2.0 * (slides_m2 * slides_m2).trace();
+        let way = self.bent.map_or(Way::Back, |bent| bent.way);
+        point.covariance_m2 += along * (0.25 * fourth_m4 * way.bend_per_m(seen, &point.point).powi(2));
     }
 
     /// Adds what the nearest point may be off by along the surface: where the bent field is concave, and where it shows

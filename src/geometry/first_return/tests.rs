@@ -237,6 +237,27 @@ fn a_fixed_lit_point_shows_the_point_that_reflects() {
     assert!(middle.normal.angle(&normal) < 0.02, "{middle:?}");
 }
 
+/// A point that slides along a tangent has a longer way, by what the surface of equal ways bends off.
+#[test]
+fn points_of_one_length_lie_on_an_arc() {
+    let (seen, point) = (Point::new(0.1, -0.2, 0.0), Point::new(0.3, 0.1, 0.6));
+    for way in [Way::Back, Way::From(Point::new(-0.2, 0.3, 0.05))] {
+        let normal = way.normal(&seen, &point, &(seen - point).normalize());
+        let slope = |of: Point| way.length_over(&seen, &of).0;
+        let along = (slope(point - normal * 1e-4) - slope(point + normal * 1e-4)) / 2e-4;
+        let off = |across: Vector3<f64>| {
+            let both = slope(point + across * 1e-3) + slope(point - across * 1e-3);
+            (both - 2.0 * slope(point)) / 1e-6 / along
+        };
+        let bends = crate::axes::across(&normal).map(off);
+        let mean = 0.5 * (bends[0] + bends[1]);
+        // Of an ellipsoid the mean of both curvatures is a little larger than that of both rays.
+        let bend = way.bend_per_m(&seen, &point);
+        assert!((0.9..1.0 + 1e-6).contains(&(bend / mean)), "{way:?}: {bend} of {mean}");
+        assert!(!matches!(way, Way::Back) || (bend / mean - 1.0).abs() < 1e-5);
+    }
+}
+
 #[test]
 fn edges_and_spheres_are_distinguished() {
     let edge = |seen: &Point| Point::new(0.9, seen.y, 0.5);

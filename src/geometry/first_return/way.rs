@@ -90,6 +90,16 @@ impl Way {
         }
     }
 
+    /// Mean curvature at a point of the surface of all points that have its length.
+    pub fn bend_per_m(&self, at: &Point, point: &Point) -> f64 {
+        let [from, to] = match self {
+            Self::Back => [at - point; 2],
+            Self::From(lit) => [lit - point, at - point],
+            Self::Apart(pair) => pair.ways(at, point),
+        };
+        0.5 * (from.norm().recip() + to.norm().recip())
+    }
+
     /// Curvature of lengths over a place whose light comes over one point: of which a field across a direction has this
     /// part, as the inverse of a root. Curvatures between it and its transpose are 1 where the surface ends.
     pub fn of_end(&self, at: &Point, point: &Point, across: &[Vector3<f64>; 2]) -> Option<Matrix2<f64>> {
