@@ -105,6 +105,9 @@ def test_profiles_become_a_labelled_array(results: periscope.Results, tmp_path: 
     )
     apart = periscope.run(campaign, "all-visible", until="profiles", progress="none").to_xarray()
     assert apart.time_ps.dims == ("lit", "seen", "time") and apart.counts.max() == np.round(900.0 * pulse).max()
+    # A profile of counts has no mean in the table: here it has one level below its counts.
+    np.testing.assert_allclose(np.ptp(apart.counts.values - apart.mean_v.values, axis=-1), 0.0, atol=1e-9)
+    np.testing.assert_allclose(apart.se_v.max(), np.sqrt(apart.counts.max()))
     assert float(apart.time_ps.sel(lit=1, seen=2)[0] - apart.time_ps.sel(lit=1, seen=1)[0]) == pytest.approx(17.0)
 
 

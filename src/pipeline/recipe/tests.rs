@@ -142,6 +142,8 @@ fn recipe(kind: &str, given: &toml::Table) -> Option<Digest> {
         arithmetic: String::new(),
         inputs: BTreeMap::new(),
     };
+    // Whatever order its fields stand in.
+    assert_eq!(id.recipe(), Digest::of(&serde_json::to_value(&id).unwrap()));
     Some(id.recipe())
 }
 
