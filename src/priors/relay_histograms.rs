@@ -127,12 +127,12 @@ impl Responses {
 }
 
 impl Waveform {
-    fn new(profile: Profile, sensor: &Calibrated, response: Arc<Response>) -> Self {
-        let light = match profile.counts {
+    fn new(mut profile: Profile, sensor: &Calibrated, response: Arc<Response>) -> Self {
+        let light = match profile.counts.take() {
             Some(counts) => Light::Counts(counts),
             None => Light::Volts {
-                mean_v: profile.mean_v.unwrap_or_default(),
-                se_v: profile.se_v.unwrap_or_default(),
+                mean_v: profile.mean_v(),
+                se_v: profile.se_v(),
                 sign: sensor.polarity,
                 acf: profile.noise_acf,
             },

@@ -104,11 +104,15 @@ impl Profile {
         self.mean_v.clone().unwrap_or_else(|| self.counted().map(|count| count - self.baseline_v).collect())
     }
 
-    /// Standard error of each mean: that of the table, or of what a photon counter counted.
+    /// Standard error of each mean: that of the table, or of what a photon counter counted; infinite where a table made
+    /// elsewhere has neither.
     #[must_use]
     pub fn se_v(&self) -> Samples {
         let least = self.baseline_v.max(1.0);
-        self.se_v.clone().unwrap_or_else(|| self.counted().map(|count| count.max(least).sqrt()).collect())
+        self.se_v.clone().unwrap_or_else(|| match &self.counts {
+            Some(_) => self.counted().map(|count| count.max(least).sqrt()).collect(),
+            None => vec![f32::INFINITY; self.samples()].into(),
+        })
     }
 
     fn counted(&self) -> impl Iterator<Item = f64> {
