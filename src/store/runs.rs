@@ -134,7 +134,7 @@ impl Shelf {
         self.write_json(&run.file(self), run)
     }
 
-    /// Records of all runs in this folder, oldest first.
+    /// Records of all runs in this folder, oldest first; those of one second in the order of their processes' numbers.
     ///
     /// # Errors
     /// When one cannot be read.
@@ -147,9 +147,10 @@ impl Shelf {
         let files = entries.map(|entry| Ok(entry.at("read", &folder)?.path()));
         let mut files = files.collect::<Result<Vec<PathBuf>, StoreError>>()?;
         files.retain(|file| file.extension().is_some_and(|extension| extension == "json"));
-        files.sort();
         let read = files.iter().map(|file| record::read(file));
-        read.filter_map(Result::transpose).collect()
+        let mut runs = read.filter_map(Result::transpose).collect::<Result<Vec<RunRecord>, StoreError>>()?;
+        runs.sort_by(|a, b| (&a.started, a.process).cmp(&(&b.started, b.process)));
+        Ok(runs)
     }
 }
 
@@ -212,5 +213,16 @@ mod tests {
         let ended = RunRecord { ended: Some("2023-11-14T22:15:00Z".to_owned()), ending: Some(Ending::Done), ..later };
         shelf.write_run(&ended).unwrap();
         assert_eq!(shelf.runs().unwrap(), [first, ended]);
+    }
+
+    #[test]
+    fn runs_of_one_second_are_in_the_order_of_their_processes() {
+        let folder = tempfile::tempdir().unwrap();
+        let shelf = Shelf::open(folder.path()).unwrap();
+        let runs = [9999, 10_000].map(|process| RunRecord { process, ..record(1_000_000_000) });
+        for run in &runs {
+            shelf.write_run(run).unwrap();
+        }
+        assert_eq!(shelf.runs().unwrap(), runs);
     }
 }
