@@ -25,7 +25,7 @@ use super::stage::StageError;
 use crate::campaign::{Campaign, LeftOut, hash_file, suggest};
 use crate::store::finite::NotJson;
 use crate::store::{Digest, parquet};
-use crate::tables;
+use crate::tables::{self, Profile, Row};
 
 /// Parameters of `import`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -69,8 +69,8 @@ impl Import {
         if files.is_empty() { Err(self.refused("holds no .parquet file")) } else { Ok(files) }
     }
 
-    /// The batch with the table's own columns, types and order.
-    fn conform(&self, file: &Path, batch: &RecordBatch) -> Result<RecordBatch, StageError> {
+    /// The batch with the table's own columns, types and order. It begins with this row of the file, from 0.
+    fn conform(&self, file: &Path, first_row: usize, batch: &RecordBatch) -> Result<RecordBatch, StageError> {
         let schema = self.schema();
         let place = |column: &str, message: String| {
             StageError::Refused(format!("{}: column `{column}`: {message}", file.display()))
@@ -96,7 +96,14 @@ impl Import {
             }
         };
         let columns = schema.fields().iter().map(column).collect::<Result<_, _>>()?;
-        Ok(RecordBatch::try_new(schema.clone(), columns)?)
+        let rows = RecordBatch::try_new(schema.clone(), columns)?;
+        if self.table == Profile::TABLE
+            && let Some(row) = Profile::without_samples(&rows)
+        {
+            let neither = "has neither this nor `counts`: a profile needs its mean signal, or the photons of each bin";
+            return Err(place("mean_v", format!("row {} {neither}", first_row + row)));
+        }
+        Ok(rows)
     }
 }
 
@@ -149,8 +156,10 @@ impl OpenSource for Opened<'_> {
     fn read(&self, _: usize, batch_bytes: usize, feed: &dyn Feed) -> Result<PartRead, StageError> {
         for file in &self.files {
             let refused = |error| StageError::Refused(format!("{}: {error}", file.display()));
+            let mut rows = 0;
             for batch in parquet::read(file, 1024).map_err(refused)? {
-                let batch = self.import.conform(file, &batch.map_err(refused)?)?;
+                let batch = self.import.conform(file, rows, &batch.map_err(refused)?)?;
+                rows += batch.num_rows();
                 let credit = feed.reserve(batch.get_array_memory_size().min(batch_bytes))?;
                 feed.send(batch, credit)?;
             }
@@ -161,5 +170,40 @@ impl OpenSource for Opened<'_> {
 
     fn close(&self) -> Result<(), StageError> {
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(rows: &RecordBatch) -> String {
+        let import = Import { table: "profiles".to_owned(), path: "mine.parquet".into() };
+        import.conform(Path::new("mine.parquet"), 1024, rows).map_or_else(|error| error.to_string(), |_| String::new())
+    }
+
+    #[test]
+    fn a_table_made_elsewhere_is_refused_with_file_column_and_row() {
+        let profile = Profile { mean_v: Some([0.5, 1.0].into_iter().collect()), ..Profile::default() };
+        let rows = Profile::to_batch(&[profile.clone(), Profile { mean_v: None, ..profile.clone() }]);
+        let text = refusal(&rows);
+        assert!(text.contains("mine.parquet") && text.contains("`mean_v`: row 1025 has neither"), "{text}");
+        let counted = Profile { mean_v: None, counts: Some(vec![3, 0]), ..profile.clone() };
+        assert_eq!(refusal(&Profile::to_batch(&[profile, counted])), "");
+        let without = |column: &str| {
+            let kept: Vec<usize> =
+                (0..rows.num_columns()).filter(|i| rows.schema().field(*i).name() != column).collect();
+            rows.project(&kept).unwrap()
+        };
+        assert!(refusal(&without("dt_ps")).contains("`dt_ps`: is missing"), "{}", refusal(&without("dt_ps")));
+        assert!(refusal(&without("mean_v")).contains("row 1024"), "{}", refusal(&without("mean_v")));
+        let names = rows.schema().fields().iter().map(|field| field.as_ref().clone()).collect::<Vec<_>>();
+        let other = names.into_iter().map(|field| {
+            let name = if field.name() == "noise_v" { "noise_volts".to_owned() } else { field.name().clone() };
+            field.with_name(name)
+        });
+        let schema = Arc::new(arrow_schema::Schema::new(other.collect::<Vec<_>>()));
+        let other = RecordBatch::try_new(schema, rows.columns().to_vec()).unwrap();
+        assert!(refusal(&other).contains("`noise_volts`"), "{}", refusal(&other));
     }
 }

@@ -1,5 +1,7 @@
 //! Table `profiles`: mean time profile of a capture.
 
+use arrow_array::{Array, RecordBatch};
+
 use super::cell::{Name, Samples};
 use crate::table;
 
@@ -113,6 +115,13 @@ impl Profile {
             Some(_) => self.counted().map(|count| count.max(least).sqrt()).collect(),
             None => vec![f32::INFINITY; self.samples()].into(),
         })
+    }
+
+    /// The first row of a table made elsewhere that has neither mean signal nor counts.
+    #[must_use]
+    pub fn without_samples(batch: &RecordBatch) -> Option<usize> {
+        let is_null = |column: &str, i: usize| batch.column_by_name(column).is_none_or(|column| column.is_null(i));
+        (0..batch.num_rows()).find(|i| is_null("mean_v", *i) && is_null("counts", *i))
     }
 
     fn counted(&self) -> impl Iterator<Item = f64> {
