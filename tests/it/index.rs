@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::BufWriter;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use periscope::formats::npy;
 use periscope::pipeline::plan::Action;
 use periscope::pipeline::run::Settings;
 use periscope::simulate::Format;
@@ -174,6 +176,63 @@ fn an_index_is_a_small_part_of_what_it_points_to_and_an_archive_is_not() {
     let raw: u64 = index.iter().map(|row| 2 * row.samples as u64).sum();
     assert!(500 * bytes("out") < raw && bytes("archive") > raw, "{} {} {raw}", bytes("out"), bytes("archive"));
     assert_eq!(lab.rows::<Profile>("out", "profiles"), lab.rows::<Profile>("archive", "profiles"));
+}
+
+/// Some shots of a ramp with noise, as a file of a campaign.
+fn write(lab: &Lab, name: &str, shots: usize) {
+    let samples = 700;
+    let code = |n: usize| (n.wrapping_mul(2_654_435_761 + shots) >> 7) as i16 % 50 + (n % samples) as i16;
+    let codes: Vec<i16> = (0..shots * samples).map(code).collect();
+    let file = fs::File::create(lab.campaign().join(format!("raw/{name}.npy"))).unwrap();
+    npy::write(&mut BufWriter::new(file), &[shots as u64, samples as u64], &codes).unwrap();
+}
+
+/// With small batches, each file is read in pieces where its capture is averaged, one after the other; with large ones,
+/// captures are read side by side. One file ends before its shots do.
+#[test]
+fn a_capture_in_several_large_files_is_averaged_as_one() {
+    let lab = Lab::bulk(0);
+    let rules = lab.campaign().join("campaign.toml");
+    let text = fs::read_to_string(&rules).unwrap();
+    fs::write(&rules, text.replace("_P{seen}.npy", "_P{seen}_*.npy")).unwrap();
+    for (capture, shots) in [[60, 41, 52], [40, 90, 45], [70, 71, 72], [33, 44, 55]].into_iter().enumerate() {
+        let of_file = |(file, shots): (usize, usize)| write(&lab, &format!("L{}_P3_{file}", capture + 20), shots);
+        shots.into_iter().enumerate().for_each(of_file);
+    }
+    let cut = lab.campaign().join("raw/L21_P3_1.npy");
+    let bytes = fs::read(&cut).unwrap();
+    fs::write(&cut, &bytes[..bytes.len() / 2]).unwrap();
+    let in_one = lab.run("side by side", AVERAGES, &Settings::default()).unwrap();
+    assert!(in_one.rejects > 0, "the file that was cut short");
+    let (traces, profiles) =
+        (lab.rows::<Trace>("side by side", "traces"), lab.rows::<Profile>("side by side", "profiles"));
+    assert_eq!(profiles.len(), 4);
+    assert_eq!((profiles[0].shots + profiles[0].rejected, profiles[3].shots + profiles[3].rejected), (153, 132));
+    for batch_bytes in [1, 20_000, 50_000] {
+        let out = format!("batches of {batch_bytes}");
+        let outcome = lab.run(&out, AVERAGES, &Settings { batch_bytes, ..Settings::default() }).unwrap();
+        assert_eq!(outcome.rejects, in_one.rejects);
+        assert_eq!(lab.rows::<Trace>(&out, "traces"), traces);
+        assert_eq!(lab.rows::<Profile>(&out, "profiles"), profiles);
+    }
+}
+
+/// Row groups of an archive hold many small captures, and of large ones a part: both are averaged as from raw files.
+#[test]
+fn an_archive_is_averaged_again_as_the_raw_files_are() {
+    let lab = Lab::bulk(4);
+    (0..80).for_each(|capture| write(&lab, &format!("L{}_P3", capture + 20), 60 + capture));
+    for codes in ["traces.codes='none'", "traces.codes='zstd'"] {
+        lab.run_with("archive", AVERAGES, &[codes.to_owned()], &Settings::default()).unwrap();
+        let set = [codes.to_owned(), "profiles.shots_min=3".to_owned()];
+        let again = lab.run_with("archive", AVERAGES, &set, &Settings::default()).unwrap();
+        assert_eq!(again.computed, ["profiles"]);
+        assert_eq!(again.passes.iter().map(|pass| pass.raw_bytes).sum::<u64>(), 0);
+        lab.run_with("out", AVERAGES, &set[1..], &Settings::default()).unwrap();
+        let profiles = lab.rows::<Profile>("archive", "profiles");
+        assert_eq!(profiles.len(), 84);
+        assert_eq!(profiles, lab.rows::<Profile>("out", "profiles"));
+    }
 }
 
 /// An `import` of the table of traces of a result folder, and averages of it.

@@ -29,7 +29,8 @@ const ITEMS_SENT: usize = 64;
 const IN_PLACE_BATCHES: usize = 4;
 /// Items that are read together at most: what is made of captures of one shot has many times their bytes.
 const ITEMS_TOGETHER: usize = 512;
-/// Of larger files one thread reads and the next one averages; those up to this size are averaged where they are read.
+/// Of captures in larger files one thread reads and the next one averages; up to this size they are averaged where they
+/// are read.
 const LONG_BYTES: u64 = 64 << 20;
 /// Pieces of these at most: one is read, hashed and added up while it is in the second cache.
 const PIECE_BYTES: usize = 2 << 20;
@@ -84,22 +85,27 @@ struct Together<'a> {
     items: Vec<(usize, &'a Item)>,
     /// Bytes that they hold at a time.
     held: usize,
-    /// Whether each is a file larger than a batch, which is read in pieces.
+    /// Whether they are files larger than a batch, which are read in pieces: those of one capture one after the other.
     is_long: bool,
 }
 
 impl Together<'_> {
-    fn has_a_file_of(&self, item: &Item) -> bool {
-        self.items
-            .iter()
-            .any(|(_, other)| item.exposure.files().any(|file| other.exposure.files().any(|of| of == file)))
+    fn has_a_file_of(&self, capture: &Capture) -> bool {
+        let is_of = |file: &PathBuf| self.items.iter().any(|(_, other)| other.exposure.files().any(|of| of == file));
+        capture.items.iter().any(|item| item.exposure.files().any(is_of))
+    }
+
+    /// Whether the last item is one of this capture.
+    fn is_at(&self, capture: usize) -> bool {
+        self.items.last().is_some_and(|(index, _)| *index == capture)
     }
 }
 
-/// Whether a file larger than a batch is reduced piece by piece, next to others: it is a capture by itself, and not so
-/// large that others wait long for it.
-fn is_long(capture: &Capture, item: &Item) -> bool {
-    capture.items.len() == 1 && !item.is_share() && item.bytes <= LONG_BYTES
+/// Whether a capture is reduced piece by piece, next to others: it is in files of its own, all larger than a batch, and
+/// not so large that others wait long for it.
+fn is_long(capture: &Capture, batch_bytes: usize) -> bool {
+    let is_long = |item: &Item| item.bytes as usize > batch_bytes && !item.is_share();
+    capture.items.iter().all(is_long) && capture.items.iter().map(|item| item.bytes).sum::<u64>() <= LONG_BYTES
 }
 
 /// Reads items in batches.
@@ -145,12 +151,18 @@ impl Reader<'_> {
         for share in shares {
             let item = share.item;
             let is_large = share.of_file.is_some() || item.bytes as usize > self.batch_bytes;
-            let is_long = is_large && in_place && share.of_file.is_none() && is_long(&captures[share.index], item);
-            let held = if is_long { self.piece_bytes() } else { (item.bytes as usize).min(self.batch_bytes) };
+            let capture = &captures[share.index];
+            let is_long = in_place && share.of_file.is_none() && is_long(capture, self.batch_bytes);
             let is_alone = is_large && !is_long;
-            let is_apart = is_alone || is_long != group.is_long || (is_long && group.has_a_file_of(item));
+            let goes_on = is_long && group.is_long && group.is_at(share.index);
+            let held = match is_long {
+                true if goes_on => 0,
+                true => self.piece_bytes(),
+                false => (item.bytes as usize).min(self.batch_bytes),
+            };
+            let is_apart = is_alone || is_long != group.is_long || (is_long && group.has_a_file_of(capture));
             let is_full = group.items.len() == ITEMS_TOGETHER || group.held + held > batches * self.batch_bytes;
-            if is_apart || is_full {
+            if !goes_on && (is_apart || is_full) {
                 self.side_by_side(captures, &std::mem::take(&mut group))?;
             }
             if is_alone {
@@ -198,14 +210,16 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Hands on what was made of a large file piece by piece; reads it by itself if its exposures are larger than that.
+    /// Hands on what was made of large files piece by piece; reads each by itself if exposures are larger than pieces.
     fn hand_on_long(&mut self, captures: &[Capture], unit: &Unit<'_>, read: Read) -> Result<(), StageError> {
-        let (index, Job { item, .. }) = &unit.jobs[0];
         if read.reduced.is_none() {
-            return self.large(captures, &Share { index: *index, item, of_file: None });
+            let mut jobs = unit.jobs.iter();
+            return jobs.try_for_each(|(index, job)| {
+                self.large(captures, &Share { index: *index, item: job.item, of_file: None })
+            });
         }
         self.hand_on(vec![(unit, read)])?;
-        self.feed.read_bytes(item.bytes);
+        self.feed.read_bytes(unit.jobs.iter().map(|(_, job)| job.item.bytes).sum());
         Ok(())
     }
 

@@ -95,27 +95,31 @@ impl<'a> Unit<'a> {
         Read { done, reduced }
     }
 
-    /// Reads the one item of a capture in pieces, and reduces it piece by piece; `bytes` are those of a piece, and the
-    /// most that an exposure may have. Nothing is read, nor reduced, where an exposure is larger than a piece.
+    /// Reads the items of one capture in pieces, one after the other, and reduces it piece by piece; `bytes` are those
+    /// of a piece, and the most that an exposure may have. Nothing comes of it where exposures are larger than pieces.
     pub fn read_long(&self, surveyed: &Surveyed<'_>, in_place: &dyn InPlace, keeps: bool, bytes: [usize; 2]) -> Read {
-        let (_, job) = &self.jobs[0];
-        let mut capture = in_place.one();
-        let done = match Long::open(surveyed, job, Reading::Long, None, bytes) {
-            Err(done) => *done,
-            Ok(long) if long.piece_bytes(job).is_some_and(|piece| piece > bytes[0]) => {
-                return Read { done: Vec::new(), reduced: None };
-            }
-            Ok(mut long) => {
-                while let Some(rows) = long.next(surveyed, job) {
-                    capture.take(&rows.to_batch());
-                    if keeps {
-                        long.keep(rows);
-                    }
+        let (mut capture, mut done, mut shots) = (in_place.one(), Vec::new(), 0);
+        for (_, Job { capture: of, item, .. }) in &self.jobs {
+            let job = &Job { capture: of, item, first_shot: if item.is_numbered() { 0 } else { shots } };
+            let of_item = match Long::open(surveyed, job, Reading::Long, None, bytes) {
+                Err(done) => *done,
+                Ok(long) if long.piece_bytes(job).is_some_and(|piece| piece > bytes[0]) => {
+                    return Read { done: Vec::new(), reduced: None };
                 }
-                long.close(surveyed, job).0
-            }
-        };
-        Read { done: vec![done], reduced: Some(capture.finish()) }
+                Ok(mut long) => {
+                    while let Some(rows) = long.next(surveyed, job) {
+                        capture.take(&rows.to_batch());
+                        if keeps {
+                            long.keep(rows);
+                        }
+                    }
+                    long.close(surveyed, job).0
+                }
+            };
+            shots += of_item.shots;
+            done.push(of_item);
+        }
+        Read { done, reduced: Some(capture.finish()) }
     }
 
     /// Reads the items file by file.
