@@ -439,6 +439,16 @@ fn text_at(column: Option<&StringArray>, i: usize) -> &str {
     column.map_or("", |column| column.value(i))
 }
 
+/// The rows of captures that neither the rows before a batch nor those after it can belong to.
+#[must_use]
+pub fn whole_captures(batch: &RecordBatch) -> Range<usize> {
+    let (columns, rows) = (KeyColumns::of(batch), batch.num_rows());
+    let key = |i: usize| columns.key(Grain::Capture, i);
+    let start = (1..rows).find(|i| key(*i) != key(0)).unwrap_or(rows);
+    let end = (start..rows).rev().find(|i| key(*i) != key(rows - 1)).map_or(start, |i| i + 1);
+    start..end
+}
+
 /// Runs of rows that belong together, in order.
 fn groups(batch: &RecordBatch, grain: Grain) -> Vec<(GroupKey, Range<usize>)> {
     let columns = KeyColumns::of(batch);

@@ -1,11 +1,13 @@
 //! Compares a table file with its record, and locates damage: row group, column, page, and the records in it.
 //!
-//! The digest of the whole file decides. The checksums of its pages only help to locate damage; they count only if the
+//! The digests of its sections decide. The checksums of its pages only help to locate damage; they count only if the
 //! footer's own digest is right.
 
 use std::fmt;
-use std::io::{self, Read};
+use std::fs::File;
+use std::io;
 use std::ops::Range;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use arrow_cast::display::array_value_to_string;
@@ -13,15 +15,15 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::{PageIndexPolicy, ParquetMetaData};
+use rayon::prelude::*;
 use serde::Serialize;
 
+use super::Digest;
 use super::disk;
 use super::failure::{At, StoreError};
 use super::page_checksums;
-use super::parquet::FileRecord;
+use super::parquet::{FileRecord, RowGroup};
 
-/// Bytes that are read at a time.
-const PIECE_BYTES: usize = 1 << 20;
 /// Columns that identify a record; a table has some of them.
 const KEYS: [&str; 8] = ["campaign", "sensor", "lit", "seen", "shot", "rank", "patch", "file"];
 
@@ -107,6 +109,28 @@ pub fn check(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
     find(path, record)?.map_or(Ok(()), |damage| Err(StoreError::Damaged(damage)))
 }
 
+/// Refuses a file whose length or footer is not as it was written.
+///
+/// # Errors
+/// When one is not, or cannot be read.
+pub fn check_frame(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
+    let damaged = |place| Err(StoreError::Damaged(Box::new(Damage { file: path.to_owned(), place })));
+    let file = match disk::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return damaged(Place::Gone),
+        opened => opened.at("read", path)?,
+    };
+    let actual = file.metadata().at("read", path)?.len();
+    if actual != record.bytes || record.pages_end > record.bytes {
+        return damaged(Place::Length { expected: record.bytes, actual });
+    }
+    let mut footer = vec![0; (record.bytes - record.pages_end) as usize];
+    file.read_exact_at(&mut footer, record.pages_end).at("read", path)?;
+    if record.footer == Digest::of_bytes(&footer) {
+        return Ok(());
+    }
+    damaged(Place::Footer { byte: record.pages_end })
+}
+
 /// Compares a file with its record; `None` if every byte is as it was written.
 ///
 /// # Errors
@@ -121,27 +145,43 @@ pub fn find(path: &Path, record: &FileRecord) -> Result<Option<Box<Damage>>, Sto
     if length != record.bytes {
         return place(Place::Length { expected: record.bytes, actual: length });
     }
-    let mut whole = blake3::Hasher::new();
-    let mut buffer = vec![0; PIECE_BYTES.min(length as usize + 1)];
-    loop {
-        match file.read(&mut buffer) {
-            Ok(0) => break,
-            Ok(read) => _ = whole.update(&buffer[..read]),
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Err(error).at("read", path),
-        }
-    }
-    if record.digest == whole.finalize().into() {
+    let digest = match &record.groups {
+        Some(groups) => FileRecord::digest_of(&sections(&file, record, groups).at("read", path)?),
+        None => whole(&mut file).at("read", path)?,
+    };
+    if record.digest == digest {
         return Ok(None);
     }
     let bytes = disk::read(path).at("read", path)?;
     place(locate(path, &bytes, record).at("read", path)?)
 }
 
+/// Digests of the sections of a file, as its bytes are now.
+fn sections(file: &File, record: &FileRecord, groups: &[RowGroup]) -> io::Result<Vec<Digest>> {
+    let ends = groups.iter().map(|group| group.end);
+    let ends = ends.chain(groups.is_empty().then_some(record.pages_end)).map(|end| end.min(record.bytes));
+    let ends: Vec<u64> = ends.chain([record.bytes]).collect();
+    let starts = std::iter::once(0).chain(ends.iter().copied());
+    let sections: Vec<(u64, u64)> = starts.zip(ends.iter().copied()).collect();
+    let digest = |(start, end): (u64, u64)| -> io::Result<Digest> {
+        let mut bytes = vec![0; end.saturating_sub(start) as usize];
+        file.read_exact_at(&mut bytes, start)?;
+        Ok(Digest::of_bytes(&bytes))
+    };
+    sections.into_par_iter().map(digest).collect()
+}
+
+/// Digest of a whole file.
+fn whole(file: &mut File) -> io::Result<Digest> {
+    let mut whole = blake3::Hasher::new();
+    whole.update_reader(file)?;
+    Ok(whole.finalize().into())
+}
+
 /// Where the bytes of a file of the recorded length are not as they were written.
 fn locate(path: &Path, bytes: &[u8], record: &FileRecord) -> Result<Place, ParquetError> {
     let pages_end = record.pages_end as usize;
-    if bytes.get(pages_end..).is_none_or(|footer| record.footer != super::Digest::of_bytes(footer)) {
+    if bytes.get(pages_end..).is_none_or(|footer| record.footer != Digest::of_bytes(footer)) {
         return Ok(Place::Footer { byte: record.pages_end });
     }
     let options = ArrowReaderOptions::new().with_page_index_policy(PageIndexPolicy::Required);

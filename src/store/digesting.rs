@@ -1,4 +1,4 @@
-//! A file writer that computes a digest of the bytes it writes.
+//! A file writer that computes digests of the bytes it writes, section by section.
 
 use std::io::{self, Write};
 
@@ -14,9 +14,8 @@ pub struct Digesting {
     file: Output,
     /// Bytes of the unfinished block.
     block: Vec<u8>,
-    hasher: blake3::Hasher,
-    /// Digest of the bytes after the pages; `None` before.
-    footer: Option<blake3::Hasher>,
+    /// Of the bytes since the last section.
+    section: blake3::Hasher,
     bytes: u64,
 }
 
@@ -24,19 +23,20 @@ impl Digesting {
     /// Writes from the start of the file.
     pub fn new(file: Output) -> Self {
         let block = Vec::with_capacity(BLOCK_BYTES);
-        Self { file, block, hasher: blake3::Hasher::new(), footer: None, bytes: 0 }
+        Self { file, block, section: blake3::Hasher::new(), bytes: 0 }
     }
 
-    /// Starts the additional digest of the footer.
-    pub fn begin_footer(&mut self) -> io::Result<()> {
+    /// Ends a section: gives the digest of the bytes since the last one.
+    pub fn end_section(&mut self) -> io::Result<Digest> {
         self.flush()?;
-        self.footer = Some(blake3::Hasher::new());
-        Ok(())
+        let digest = self.section.finalize().into();
+        self.section.reset();
+        Ok(digest)
     }
 
-    /// Number of bytes, the digest of all of them, and that of the footer. The caller must flush first.
-    pub fn finish(self) -> (u64, Digest, Digest) {
-        (self.bytes, self.hasher.finalize().into(), self.footer.unwrap_or_default().finalize().into())
+    /// Number of bytes of all sections that have ended.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 }
 
@@ -51,10 +51,7 @@ impl Write for Digesting {
     }
     fn flush(&mut self) -> io::Result<()> {
         self.file.write_all(&self.block)?;
-        self.hasher.update(&self.block);
-        if let Some(footer) = &mut self.footer {
-            footer.update(&self.block);
-        }
+        self.section.update(&self.block);
         self.bytes += self.block.len() as u64;
         self.block.clear();
         Ok(())

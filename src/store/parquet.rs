@@ -1,7 +1,9 @@
-//! The only file that uses the Parquet crate to write and read tables: one table of one part, in row groups.
+//! Writes and reads tables with the Parquet crate: one table of one part, in row groups.
 //!
 //! The sizes of the rows decide where a row group ends, so that a file's bytes do not depend on how the rows were
 //! batched. The worker pool encodes row groups; they are appended in order.
+
+mod recorded;
 
 use std::collections::VecDeque;
 use std::io::Write;
@@ -26,19 +28,22 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::Digest;
-use super::damage;
 use super::digesting::Digesting;
 use super::disk;
-use super::failure::{At, StoreError};
+use super::failure::StoreError;
 use super::page_checksums::{Chunk, ChunkPages, with_checksums};
+
+pub use recorded::read_groups;
 
 /// A row group ends with the row that brings it to this many bytes.
 pub const ROW_GROUP_BYTES: usize = 4 << 20;
 /// Waveforms of a row group are encoded so many bytes at a time: what the encoder makes of them on the way, their
 /// levels above all, then stays in the cache.
 const PIECE_BYTES: usize = 8 << 10;
+/// Pages of samples have this many bytes, so that the second cache has them from their making to their hash.
+const PAGE_BYTES: usize = 64 << 10;
 /// Most rows of a row group.
-const ROW_GROUP_ROWS: usize = 1 << 16;
+pub const ROW_GROUP_ROWS: usize = 1 << 16;
 
 /// The record of one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -47,12 +52,32 @@ pub struct FileRecord {
     pub rows: u64,
     /// Size of the file.
     pub bytes: u64,
-    /// BLAKE3 of the file.
+    /// BLAKE3 of the BLAKE3 hashes of its sections: its row groups (without any, what stands before the footer) and its
+    /// footer. Without `groups`, of the file.
     pub digest: Digest,
     /// Where its pages end. Indexes and footer follow.
     pub pages_end: u64,
     /// BLAKE3 of everything after the pages.
     pub footer: Digest,
+    /// Its row groups, in order; `None` in the records of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub groups: Option<Vec<RowGroup>>,
+}
+
+impl FileRecord {
+    /// Digest of a file that has these sections.
+    pub(super) fn digest_of<'a>(sections: impl IntoIterator<Item = &'a Digest>) -> Digest {
+        Digest::join("file", sections)
+    }
+}
+
+/// A row group of a file, from the end of the one before.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RowGroup {
+    /// Where its pages end.
+    pub end: u64,
+    /// BLAKE3 of its bytes.
+    pub digest: Digest,
 }
 
 /// Writes one table of one part.
@@ -71,7 +96,7 @@ pub struct TableWriter {
     open_rows: usize,
     /// Complete row groups that wait to be encoded together.
     whole: Vec<Group>,
-    groups: usize,
+    groups: Vec<RowGroup>,
     rows: u64,
 }
 
@@ -101,7 +126,7 @@ impl TableWriter {
             open_bytes: 0,
             open_rows: 0,
             whole: Vec::new(),
-            groups: 0,
+            groups: Vec::new(),
             rows: 0,
         })
     }
@@ -147,7 +172,7 @@ impl TableWriter {
         // Every column of every group is a task of its own, so that all threads are busy.
         let mut columns = Vec::new();
         for (number, group) in self.whole.iter().enumerate() {
-            let mut writers = self.factory.create_column_writers(self.groups + number)?.into_iter();
+            let mut writers = self.factory.create_column_writers(self.groups.len() + number)?.into_iter();
             let mut pages = self.pages.take().into_iter();
             for (column, leaves) in self.leaves.iter().enumerate() {
                 let writers: Vec<_> = writers.by_ref().zip(pages.by_ref()).take(*leaves).collect();
@@ -179,7 +204,10 @@ impl TableWriter {
                 writer.append_column(chunk, close.clone())?;
             }
             writer.close()?;
-            self.groups += 1;
+            self.writer.flush()?;
+            let end = self.writer.bytes_written() as u64;
+            let digest = self.writer.inner_mut().end_section()?;
+            self.groups.push(RowGroup { end, digest });
         }
         Ok(())
     }
@@ -195,14 +223,19 @@ impl TableWriter {
         self.encode()?;
         self.writer.flush()?;
         let pages_end = self.writer.bytes_written() as u64;
-        self.writer.inner_mut().begin_footer()?;
+        let mut sections: Vec<Digest> = self.groups.iter().map(|group| group.digest).collect();
+        if sections.is_empty() {
+            sections.push(self.writer.inner_mut().end_section()?);
+        }
         for (key, value) in footer {
             self.writer.append_key_value_metadata(KeyValue::new((*key).to_owned(), value.clone()));
         }
         let mut sink = self.writer.into_inner()?;
         sink.flush()?;
-        let (bytes, digest, footer) = sink.finish();
-        Ok(FileRecord { rows: self.rows, bytes, digest, pages_end, footer })
+        let footer = sink.end_section()?;
+        sections.push(footer);
+        let digest = FileRecord::digest_of(&sections);
+        Ok(FileRecord { rows: self.rows, bytes: sink.bytes(), digest, pages_end, footer, groups: Some(self.groups) })
     }
 }
 
@@ -341,7 +374,8 @@ fn properties(schema: &SchemaRef) -> WriterProperties {
         properties = properties
             .set_column_dictionary_enabled(path.clone(), false)
             .set_column_statistics_enabled(path.clone(), EnabledStatistics::None)
-            .set_column_compression(path, compression);
+            .set_column_compression(path.clone(), compression)
+            .set_column_data_page_size_limit(path, PAGE_BYTES);
     }
     properties.build()
 }
@@ -374,8 +408,8 @@ pub fn read(
     }))
 }
 
-/// Reads batches of at most `rows` rows from a recorded file, in order. It first checks the file's bytes against the
-/// record: what it then decodes is what was written, or an error.
+/// Reads batches of at most `rows` rows from a recorded file, in order: what it decodes is what was written, or an
+/// error.
 ///
 /// # Errors
 /// When the file is missing, or differs from its record; the error says where the damage is.
@@ -384,9 +418,11 @@ pub fn read_recorded(
     record: &FileRecord,
     rows: usize,
 ) -> Result<impl Iterator<Item = Result<RecordBatch, StoreError>> + use<>, StoreError> {
-    damage::check(path, record)?;
-    let at = path.to_owned();
-    Ok(read(path, rows).at("read", path)?.map(move |batch| batch.at("read", &at)))
+    let groups = read_groups(path, record, rows, |batches| batches)?;
+    Ok(groups.flat_map(|group| match group {
+        Ok(batches) => batches.into_iter().map(Ok).collect(),
+        Err(error) => vec![Err(error)],
+    }))
 }
 
 /// Schema of a file.

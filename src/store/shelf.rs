@@ -275,6 +275,22 @@ impl Shelf {
         file::read_recorded(&self.part_file(stage, &part.lineage, table), &part.files[table], rows)
     }
 
+    /// What `each` makes of the row groups of one table of one part, in order: all rows of one, in the thread that
+    /// decodes them.
+    ///
+    /// # Errors
+    /// When its file differs from its record.
+    pub fn read_groups<T: Send, F: Fn(Vec<RecordBatch>) -> T + Send + Sync>(
+        &self,
+        stage: &StageId,
+        part: &PartRecord,
+        table: &str,
+        each: F,
+    ) -> Result<impl Iterator<Item = Result<T, StoreError>> + use<T, F>, StoreError> {
+        let path = self.part_file(stage, &part.lineage, table);
+        file::read_groups(&path, &part.files[table], file::ROW_GROUP_ROWS, each)
+    }
+
     /// What reads the same batches, as often as it is called.
     pub fn reader(
         &self,

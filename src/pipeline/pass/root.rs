@@ -5,8 +5,8 @@ use std::sync::{Arc, PoisonError};
 use arrow_array::RecordBatch;
 use crossbeam_channel::{Receiver, Sender};
 
-use super::{Failure, Made, Message, Pass, Shared, send};
-use crate::stages::operator::{OneGroup, Reducer};
+use super::{Failure, Made, Message, Pass, Shared, send, step};
+use crate::stages::operator::{OneGroup, Reducer, whole_captures};
 use crate::stages::source::{CaptureInPlace, Credit, Feed, InPlace, PartRead, Reduced};
 use crate::stages::stage::StageError;
 
@@ -26,7 +26,8 @@ pub(super) fn read<'a>(
     let reducers: Vec<Option<_>> = reducers.into_iter().map(announced).collect::<Result<_, Failure>>()?;
     let reducers: Option<Vec<_>> = reducers.into_iter().collect();
     // Rows that are to be stored or joined have to come by.
-    let reducers = reducers.filter(|_| !plan.stands_in(pass.root) && pass.joined.is_none());
+    let is_stored = pass.steps.contains(&pass.root) && plan.stands_in(pass.root);
+    let reducers = reducers.filter(|_| !is_stored && pass.joined.is_none());
     let in_place = reducers.map(|reducers| InThreads { shared, children, reducers });
     for &part in &pass.parts {
         shared.go_on()?;
@@ -47,7 +48,10 @@ pub(super) fn read<'a>(
             let lineage = plan.part_lineage(pass.root, &content, &beside);
             send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
         } else {
-            shared.span_of_reader("read back", || replay(shared, pass.root, part, children))?;
+            shared.span_of_reader("read back", || match &in_place {
+                Some(in_threads) => replay_in_place(shared, pass.root, part, children, in_threads),
+                None => replay(shared, pass.root, part, children),
+            })?;
         }
     }
     send(children, || Message::End)
@@ -66,6 +70,50 @@ fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Mess
             .map_err(|_| Failure::Stopped)?;
         send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
         shared.progress.advance(batch.num_rows() as u64);
+    }
+    send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
+}
+
+/// The same where the steps below take captures by themselves: those that a row group has as a whole are reduced where
+/// it is decoded. Its first and last one, which may go on in other groups, are sent as rows.
+fn replay_in_place(
+    shared: &Shared<'_>,
+    root: usize,
+    part: usize,
+    children: &[Sender<Message>],
+    in_threads: &InThreads<'_>,
+) -> Result<(), Failure> {
+    let plan = shared.plan;
+    let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
+    let table = &plan.stored_tables(root)[0].0;
+    let rows = |batch: RecordBatch| -> Result<(), Failure> {
+        let bytes = batch.get_array_memory_size().min(shared.settings.memory_bytes / 2);
+        let credit = shared.budget.reserve(bytes).map_err(|_| Failure::Stopped)?;
+        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))
+    };
+    let reduce = |batches: Vec<RecordBatch>| -> Vec<(RecordBatch, Option<Reduced>)> {
+        let within = |batch: RecordBatch| {
+            let whole = whole_captures(&batch);
+            let [first, last] =
+                [0..whole.start, whole.end..batch.num_rows()].map(|rows| batch.slice(rows.start, rows.len()));
+            let whole = batch.slice(whole.start, whole.len());
+            let reduced = (whole.num_rows() > 0).then(|| in_threads.reduce(&whole));
+            [(first, None), (whole, reduced), (last, None)]
+        };
+        batches.into_iter().flat_map(within).filter(|(rows, _)| rows.num_rows() > 0).collect()
+    };
+    for group in plan.shelf.read_groups(&plan.tables[root].id, record, table, reduce)? {
+        shared.go_on()?;
+        for (batch, reduced) in group? {
+            shared.progress.advance(batch.num_rows() as u64);
+            match reduced {
+                None => rows(batch)?,
+                Some(reduced) => {
+                    drop(batch);
+                    step::hand_on(children, in_threads.by_step(vec![reduced]))?;
+                }
+            }
+        }
     }
     send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
 }
@@ -103,13 +151,21 @@ impl<'a> InPlace for InThreads<'a> {
     }
 
     fn send(&self, reduced: Vec<Reduced>) -> Result<(), StageError> {
+        let outcomes = self.by_step(reduced);
+        let send = || self.children[0].send(Message::Reduced(outcomes));
+        self.shared.span_of_reader("hand on", send).map_err(|_| StageError::Stopped)
+    }
+}
+
+impl InThreads<'_> {
+    /// What each step made of captures, in their order.
+    fn by_step(&self, reduced: Vec<Reduced>) -> Vec<Vec<Made>> {
         let mut outcomes: Vec<Vec<Made>> = self.reducers.iter().map(|_| Vec::new()).collect();
         for Reduced(made) in reduced {
             let made = *made.downcast::<Vec<Made>>().expect("made above");
             outcomes.iter_mut().zip(made).for_each(|(of_step, made)| of_step.push(made));
         }
-        let send = || self.children[0].send(Message::Reduced(outcomes));
-        self.shared.span_of_reader("hand on", send).map_err(|_| StageError::Stopped)
+        outcomes
     }
 }
 

@@ -132,7 +132,7 @@ fn start<'a>(
 }
 
 /// Hands to each child what was made for it.
-fn hand_on(children: &[Sender<Message>], outcomes: Vec<Vec<Made>>) -> Result<(), Failure> {
+pub(super) fn hand_on(children: &[Sender<Message>], outcomes: Vec<Vec<Made>>) -> Result<(), Failure> {
     let mut children = children.iter().zip(outcomes);
     children.try_for_each(|(child, own)| child.send(Message::Reduced(vec![own])).map_err(|_| Failure::Stopped))
 }

@@ -208,7 +208,8 @@ impl Cut {
 /// The results of a piece, if its files match their record.
 fn intact(shelf: &Shelf, key: &str) -> Option<PieceRecord> {
     let record = shelf.piece(key).ok().flatten()?;
-    shelf.subtotals(key, &record).is_ok().then_some(record)
+    let is_sound = shelf.subtotals(key, &record).is_ok_and(|mut batches| batches.all(|batch| batch.is_ok()));
+    is_sound.then_some(record)
 }
 
 impl Shard {

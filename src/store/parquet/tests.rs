@@ -5,6 +5,8 @@ use arrow_schema::Schema;
 use arrow_select::concat::concat_batches;
 
 use super::*;
+use crate::store::damage;
+use crate::store::failure::StoreError;
 use crate::tables::{Name, Profile, Row};
 
 fn profiles(count: i32, samples: usize) -> Vec<Profile> {
@@ -66,7 +68,7 @@ fn a_column_that_is_marked_is_as_large_as_its_bytes_and_reads_the_same() {
         writer.write(&batch).unwrap();
         let record = writer.finish(&[]).unwrap();
         assert_eq!(record.bytes, std::fs::metadata(&path).unwrap().len());
-        assert_eq!(record.digest, Digest::of_bytes(&std::fs::read(&path).unwrap()));
+        assert_eq!(damage::find(&path, &record).unwrap(), None);
         let read: Vec<RecordBatch> = read(&path, 16).unwrap().map(Result::unwrap).collect();
         (record.bytes, concat_batches(&read[0].schema(), &read).unwrap())
     };
@@ -75,4 +77,69 @@ fn a_column_that_is_marked_is_as_large_as_its_bytes_and_reads_the_same() {
     assert!(small < 100_000 && large > 300 * 40_000, "{small} {large}");
     assert_eq!(compressed.column(0), plain.column(0));
     assert_eq!(plain.column(0), &codes, "several row groups, in order");
+}
+
+/// A file of several row groups, and its record.
+fn several_groups(folder: &Path) -> (PathBuf, FileRecord, Vec<Profile>) {
+    let (path, rows) = (folder.join("file.parquet"), profiles(900, 1400));
+    let mut writer = TableWriter::create(&path, &Profile::schema()).unwrap();
+    writer.write(&Profile::to_batch(&rows)).unwrap();
+    (path, writer.finish(&[]).unwrap(), rows)
+}
+
+fn read_back(path: &Path, record: &FileRecord) -> Result<Vec<Profile>, StoreError> {
+    let mut rows = Vec::new();
+    for batch in read_recorded(path, record, 64)? {
+        rows.extend(Profile::rows(&batch?).unwrap());
+    }
+    Ok(rows)
+}
+
+#[test]
+fn records_of_earlier_versions_have_one_digest_of_the_whole_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, record, rows) = several_groups(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let earlier = FileRecord { digest: Digest::of_bytes(&bytes), groups: None, ..record.clone() };
+    let text = serde_json::to_string(&earlier).unwrap();
+    assert!(!text.contains("groups"), "{text}");
+    let earlier: FileRecord = serde_json::from_str(&text).unwrap();
+    for record in [&earlier, &record] {
+        assert_eq!(damage::find(&path, record).unwrap(), None);
+        assert_eq!(read_back(&path, record).unwrap(), rows);
+    }
+}
+
+/// The first and the last byte of each row group, and bytes of the footer.
+#[test]
+fn what_differs_from_its_digest_is_not_decoded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, record, _) = several_groups(folder.path());
+    let sound = std::fs::read(&path).unwrap();
+    let groups = record.groups.clone().unwrap();
+    assert!(groups.len() > 1 && groups.last().unwrap().end == record.pages_end);
+    let places = groups.iter().flat_map(|group| [group.end - 1, group.end]).chain([4, record.bytes - 9]);
+    for place in places {
+        let mut bytes = sound.clone();
+        bytes[place as usize] ^= 1;
+        std::fs::write(&path, bytes).unwrap();
+        let error = read_back(&path, &record).unwrap_err();
+        assert!(matches!(error, StoreError::Damaged(_)), "byte {place}: {error}");
+        assert!(damage::find(&path, &record).unwrap().is_some(), "byte {place}");
+    }
+    std::fs::write(&path, &sound[..sound.len() - 1]).unwrap();
+    assert!(matches!(read_back(&path, &record), Err(StoreError::Damaged(_))));
+}
+
+#[test]
+fn a_file_without_rows_is_compared_with_its_record_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("none");
+    let record = TableWriter::create(&path, &Profile::schema()).unwrap().finish(&[]).unwrap();
+    assert_eq!(damage::find(&path, &record).unwrap(), None);
+    assert_eq!(read_back(&path, &record).unwrap(), []);
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[1] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+    assert!(damage::find(&path, &record).unwrap().is_some());
 }
