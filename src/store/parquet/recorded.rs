@@ -8,7 +8,7 @@ use arrow_array::RecordBatch;
 use bytes::{Buf, Bytes, buf};
 use parquet::arrow::arrow_reader::{ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder};
 use parquet::errors::ParquetError;
-use parquet::file::metadata::RowGroupMetaData;
+use parquet::file::metadata::{ColumnChunkMetaData, RowGroupMetaData};
 use parquet::file::reader::{ChunkReader, Length};
 use rayon::prelude::*;
 
@@ -29,16 +29,16 @@ pub fn read_groups<T: Send, F: Fn(Vec<RecordBatch>) -> T + Send + Sync>(
     rows: usize,
     each: F,
 ) -> Result<impl Iterator<Item = Result<T, StoreError>> + use<T, F>, StoreError> {
-    let groups = Groups::open(path, record)?;
-    let (count, together) = (groups.groups.len(), rayon::current_num_threads());
-    let read = move |group: usize| groups.decode(group, rows).map(&each);
+    let file = TableFile::open(path, record)?;
+    let (count, together) = (file.groups.len(), rayon::current_num_threads());
+    let read = move |group: usize| file.decode(group, rows).map(&each);
     Ok((0..count)
         .step_by(together)
         .flat_map(move |first| (first..count.min(first + together)).into_par_iter().map(&read).collect::<Vec<_>>()))
 }
 
 /// The row groups of a file whose footer is as it was written.
-struct Groups {
+struct TableFile {
     path: PathBuf,
     record: FileRecord,
     /// Where each ends, and its digest unless all of the file was compared with its record.
@@ -46,17 +46,16 @@ struct Groups {
     metadata: ArrowReaderMetadata,
 }
 
-impl Groups {
+impl TableFile {
     fn open(path: &Path, record: &FileRecord) -> Result<Self, StoreError> {
         damage::check_frame(path, record)?;
         let file = disk::open(path).at("read", path)?;
         let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new()).at("read", path)?;
-        let groups = match &record.groups {
-            Some(groups) => groups.iter().map(|RowGroup { end, digest }| (*end, Some(*digest))).collect(),
-            None => {
-                damage::check(path, record)?;
-                ends(&metadata).into_iter().map(|end| (end, None)).collect()
-            }
+        let groups = if let Some(groups) = &record.groups {
+            groups.iter().map(|RowGroup { end, digest }| (*end, Some(*digest))).collect()
+        } else {
+            damage::check(path, record)?;
+            ends(&metadata).into_iter().map(|end| (end, None)).collect()
         };
         Ok(Self { path: path.to_owned(), record: record.clone(), groups, metadata })
     }
@@ -95,7 +94,13 @@ impl Groups {
 /// Where the row groups of a file end.
 fn ends(metadata: &ArrowReaderMetadata) -> Vec<u64> {
     let end = |group: &RowGroupMetaData| {
-        group.columns().iter().map(|column| column.byte_range()).map(|(start, bytes)| start + bytes).max().unwrap_or(0)
+        group
+            .columns()
+            .iter()
+            .map(ColumnChunkMetaData::byte_range)
+            .map(|(start, bytes)| start + bytes)
+            .max()
+            .unwrap_or(0)
     };
     metadata.metadata().row_groups().iter().map(end).collect()
 }
