@@ -52,8 +52,8 @@ pub struct FileRecord {
     pub rows: u64,
     /// Size of the file.
     pub bytes: u64,
-    /// BLAKE3 of the BLAKE3 hashes of its sections: its row groups (without any, what stands before the footer) and its
-    /// footer. Without `groups`, of the file.
+    /// BLAKE3 of the word `file` and of the BLAKE3 hashes of its sections: its row groups (without any, what stands
+    /// before the footer) and its footer. Without `groups`, of the file.
     pub digest: Digest,
     /// Where its pages end. Indexes and footer follow.
     pub pages_end: u64,

@@ -275,8 +275,8 @@ impl Shelf {
         file::read_recorded(&self.part_file(stage, &part.lineage, table), &part.files[table], rows)
     }
 
-    /// What `each` makes of the row groups of one table of one part, in order: all rows of one, in the thread that
-    /// decodes them.
+    /// What `each` makes of the row groups of one table of one part, in order: of the batches of one, of at most `rows`
+    /// rows each, in the thread that decodes them.
     ///
     /// # Errors
     /// When its file differs from its record.
@@ -285,10 +285,10 @@ impl Shelf {
         stage: &StageId,
         part: &PartRecord,
         table: &str,
+        rows: usize,
         each: F,
     ) -> Result<impl Iterator<Item = Result<T, StoreError>> + use<T, F>, StoreError> {
-        let path = self.part_file(stage, &part.lineage, table);
-        file::read_groups(&path, &part.files[table], file::ROW_GROUP_ROWS, each)
+        file::read_groups(&self.part_file(stage, &part.lineage, table), &part.files[table], rows, each)
     }
 
     /// What reads the same batches, as often as it is called.

@@ -1,5 +1,6 @@
 //! The thread at the root of a pass: reads a source, or replays a stored table.
 
+use std::ops::Range;
 use std::sync::{Arc, PoisonError};
 
 use arrow_array::RecordBatch;
@@ -9,6 +10,7 @@ use super::{Failure, Made, Message, Pass, Shared, send, step};
 use crate::stages::operator::{OneGroup, Reducer, whole_captures};
 use crate::stages::source::{CaptureInPlace, Credit, Feed, InPlace, PartRead, Reduced};
 use crate::stages::stage::StageError;
+use crate::store::parquet::ROW_GROUP_ROWS;
 
 /// The thread of the root: reads a source, or replays a table.
 pub(super) fn read<'a>(
@@ -48,74 +50,56 @@ pub(super) fn read<'a>(
             let lineage = plan.part_lineage(pass.root, &content, &beside);
             send(children, || Message::PartEnd(part, lineage, rejections.clone()))?;
         } else {
-            shared.span_of_reader("read back", || match &in_place {
-                Some(in_threads) => replay_in_place(shared, pass.root, part, children, in_threads),
-                None => replay(shared, pass.root, part, children),
-            })?;
+            shared.span_of_reader("read back", || replay(shared, pass.root, part, children, in_place.as_ref()))?;
         }
     }
     send(children, || Message::End)
 }
 
-fn replay(shared: &Shared<'_>, root: usize, part: usize, children: &[Sender<Message>]) -> Result<(), Failure> {
-    let plan = shared.plan;
-    let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
-    let table = &plan.stored_tables(root)[0].0;
-    for batch in plan.shelf.read(&plan.tables[root].id, record, table, shared.settings.replay_rows)? {
-        let batch = batch?;
-        shared.go_on()?;
-        let credit = shared
-            .budget
-            .reserve(batch.get_array_memory_size().min(shared.settings.memory_bytes / 2))
-            .map_err(|_| Failure::Stopped)?;
-        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
-        shared.progress.advance(batch.num_rows() as u64);
-    }
-    send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
-}
-
-/// The same where the steps below take captures by themselves: those that a row group has as a whole are reduced where
-/// it is decoded. Its first and last one, which may go on in other groups, are sent as rows.
-fn replay_in_place(
+/// Sends the rows of a stored part. Where the steps below take captures by themselves, those that a row group has as a
+/// whole are reduced where it is decoded; its first and last one, which may go on in other groups, are sent as rows.
+fn replay(
     shared: &Shared<'_>,
     root: usize,
     part: usize,
     children: &[Sender<Message>],
-    in_threads: &InThreads<'_>,
+    in_place: Option<&InThreads<'_>>,
 ) -> Result<(), Failure> {
     let plan = shared.plan;
     let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
     let table = &plan.stored_tables(root)[0].0;
-    let rows = |batch: RecordBatch| -> Result<(), Failure> {
-        let bytes = batch.get_array_memory_size().min(shared.settings.memory_bytes / 2);
-        let credit = shared.budget.reserve(bytes).map_err(|_| Failure::Stopped)?;
-        send(children, || Message::Rows(batch.clone(), Some(credit.clone())))
+    let rows = if in_place.is_some() { ROW_GROUP_ROWS } else { shared.settings.replay_rows };
+    let reduce = |batches: Vec<RecordBatch>| match in_place {
+        Some(in_threads) => batches.iter().flat_map(|batch| in_threads.whole_captures(batch)).collect(),
+        None => batches.into_iter().map(Replayed::Rows).collect::<Vec<_>>(),
     };
-    let reduce = |batches: Vec<RecordBatch>| -> Vec<(RecordBatch, Option<Reduced>)> {
-        let within = |batch: RecordBatch| {
-            let whole = whole_captures(&batch);
-            let [first, last] =
-                [0..whole.start, whole.end..batch.num_rows()].map(|rows| batch.slice(rows.start, rows.len()));
-            let whole = batch.slice(whole.start, whole.len());
-            let reduced = (whole.num_rows() > 0).then(|| in_threads.reduce(&whole));
-            [(first, None), (whole, reduced), (last, None)]
-        };
-        batches.into_iter().flat_map(within).filter(|(rows, _)| rows.num_rows() > 0).collect()
-    };
-    for group in plan.shelf.read_groups(&plan.tables[root].id, record, table, reduce)? {
-        shared.go_on()?;
-        for (batch, reduced) in group? {
-            shared.progress.advance(batch.num_rows() as u64);
-            match reduced {
-                None => rows(batch)?,
-                Some(reduced) => {
-                    drop(batch);
-                    step::hand_on(children, in_threads.by_step(vec![reduced]))?;
+    for group in plan.shelf.read_groups(&plan.tables[root].id, record, table, rows, reduce)? {
+        for replayed in group? {
+            shared.go_on()?;
+            let rows = match replayed {
+                Replayed::Reduced(rows, outcomes) => {
+                    step::hand_on(children, outcomes)?;
+                    rows
                 }
-            }
+                Replayed::Rows(batch) => {
+                    let bytes = batch.get_array_memory_size().min(shared.settings.memory_bytes / 2);
+                    let credit = shared.budget.reserve(bytes).map_err(|_| Failure::Stopped)?;
+                    send(children, || Message::Rows(batch.clone(), Some(credit.clone())))?;
+                    batch.num_rows()
+                }
+            };
+            shared.progress.advance(rows as u64);
         }
     }
     send(children, || Message::PartEnd(part, record.lineage, Vec::new()))
+}
+
+/// Rows of a stored table that come next.
+enum Replayed {
+    /// As they are.
+    Rows(RecordBatch),
+    /// How many, and what each step below made of them.
+    Reduced(usize, Vec<Vec<Made>>),
 }
 
 /// Hands a source's rows to the first stages.
@@ -158,6 +142,16 @@ impl<'a> InPlace for InThreads<'a> {
 }
 
 impl InThreads<'_> {
+    /// Reduces the captures that begin and end within a batch.
+    fn whole_captures(&self, batch: &RecordBatch) -> impl Iterator<Item = Replayed> + use<> {
+        let whole = whole_captures(batch);
+        let slice = |rows: Range<usize>| (!rows.is_empty()).then(|| batch.slice(rows.start, rows.len()));
+        let (first, last) = (slice(0..whole.start), slice(whole.end..batch.num_rows()));
+        let reduce = |rows: RecordBatch| Replayed::Reduced(rows.num_rows(), self.by_step(vec![self.reduce(&rows)]));
+        let whole = slice(whole).map(reduce);
+        [first.map(Replayed::Rows), whole, last.map(Replayed::Rows)].into_iter().flatten()
+    }
+
     /// What each step made of captures, in their order.
     fn by_step(&self, reduced: Vec<Reduced>) -> Vec<Vec<Made>> {
         let mut outcomes: Vec<Vec<Made>> = self.reducers.iter().map(|_| Vec::new()).collect();
