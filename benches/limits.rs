@@ -8,6 +8,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use arrow_array::RecordBatch;
 use periscope::signal::average::PhaseSums;
 use periscope::signal::codes::Codes;
 use periscope::signal::fft::{Complex, RealFft};
@@ -43,17 +44,18 @@ fn read(files: &[PathBuf], block: &mut Vec<u8>) -> usize {
     files.iter().map(one).sum()
 }
 
-/// As many rows as there are captures, into a new file.
-fn write(path: &Path, rows: &[Profile], captures: usize) {
+/// As many rows as there are captures, batch by batch into a new file.
+fn write(path: &Path, batch: &RecordBatch, captures: usize) {
     let mut writer = TableWriter::create(path, &Profile::schema()).expect("a folder that can be written to");
-    let batch = Profile::to_batch(rows);
-    for start in (0..captures).step_by(rows.len()) {
-        writer.write(&batch.slice(0, rows.len().min(captures - start))).expect("room for the rows");
+    for start in (0..captures).step_by(batch.num_rows()) {
+        writer.write(&batch.slice(0, batch.num_rows().min(captures - start))).expect("room for the rows");
     }
     black_box(writer.finish(&[]).expect("room for the rows"));
 }
 
 fn main() {
+    // The store encodes in the pool.
+    rayon::ThreadPoolBuilder::new().num_threads(1).build_global().expect("there is no pool yet");
     let mut args = std::env::args().skip(1).filter(|arg| !arg.starts_with("--"));
     let Some(folder) = args.next() else {
         println!("usage: cargo bench --bench limits -- FOLDER [SAMPLES]");
@@ -86,7 +88,8 @@ fn main() {
     let profile =
         Profile { mean_v: Some(waveform.clone().collect()), se_v: Some(waveform.collect()), ..Profile::default() };
     let file = std::env::temp_dir().join("periscope-limits.parquet");
-    let encode = best(|| write(&file, &vec![profile.clone(); 64], files.len()));
+    let batch = Profile::to_batch(&vec![profile; 64]);
+    let encode = best(|| write(&file, &batch, files.len()));
     let left = std::fs::metadata(&file).expect("it was written").len();
     std::fs::remove_file(&file).expect("it was written");
 
