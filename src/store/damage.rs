@@ -109,26 +109,33 @@ pub fn check(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
     find(path, record)?.map_or(Ok(()), |damage| Err(StoreError::Damaged(damage)))
 }
 
-/// Refuses a file whose length or footer is not as it was written.
+/// Opens a file whose length and footer are as they were written.
 ///
 /// # Errors
 /// When one is not, or cannot be read.
-pub fn check_frame(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
+pub fn open_sound(path: &Path, record: &FileRecord) -> Result<File, StoreError> {
     let damaged = |place| Err(StoreError::Damaged(Box::new(Damage { file: path.to_owned(), place })));
-    let file = match disk::open(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return damaged(Place::Gone),
-        opened => opened.at("read", path)?,
+    let file = match open(path, record)? {
+        Ok(file) => file,
+        Err(place) => return damaged(place),
     };
-    let actual = file.metadata().at("read", path)?.len();
-    if actual != record.bytes || record.pages_end > record.bytes {
-        return damaged(Place::Length { expected: record.bytes, actual });
-    }
     let mut footer = vec![0; (record.bytes - record.pages_end) as usize];
     file.read_exact_at(&mut footer, record.pages_end).at("read", path)?;
     if record.footer == Digest::of_bytes(&footer) {
-        return Ok(());
+        Ok(file)
+    } else {
+        damaged(Place::Footer { byte: record.pages_end })
     }
-    damaged(Place::Footer { byte: record.pages_end })
+}
+
+/// Opens a file that is there with its length, or says which of these it lacks.
+fn open(path: &Path, record: &FileRecord) -> Result<Result<File, Place>, StoreError> {
+    let file = match disk::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Err(Place::Gone)),
+        opened => opened.at("read", path)?,
+    };
+    let actual = file.metadata().at("read", path)?.len();
+    Ok(if actual == record.bytes { Ok(file) } else { Err(Place::Length { expected: record.bytes, actual }) })
 }
 
 /// Compares a file with its record; `None` if every byte is as it was written.
@@ -137,14 +144,10 @@ pub fn check_frame(path: &Path, record: &FileRecord) -> Result<(), StoreError> {
 /// When it cannot be read.
 pub fn find(path: &Path, record: &FileRecord) -> Result<Option<Box<Damage>>, StoreError> {
     let place = |place| Ok(Some(Box::new(Damage { file: path.to_owned(), place })));
-    let mut file = match disk::open(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return place(Place::Gone),
-        opened => opened.at("read", path)?,
+    let mut file = match open(path, record)? {
+        Ok(file) => file,
+        Err(missing) => return place(missing),
     };
-    let length = file.metadata().at("read", path)?.len();
-    if length != record.bytes {
-        return place(Place::Length { expected: record.bytes, actual: length });
-    }
     let digest = match &record.groups {
         Some(groups) => FileRecord::digest_of(&sections(&file, record, groups).at("read", path)?),
         None => whole(&mut file).at("read", path)?,

@@ -43,7 +43,7 @@ const PIECE_BYTES: usize = 8 << 10;
 /// Pages of samples have this many bytes, so that the second cache has them from their making to their hash.
 const PAGE_BYTES: usize = 64 << 10;
 /// Most rows of a row group.
-pub const ROW_GROUP_ROWS: usize = 1 << 16;
+const ROW_GROUP_ROWS: usize = 1 << 16;
 
 /// The record of one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -10,7 +10,6 @@ use super::{Failure, Made, Message, Pass, Shared, send, step};
 use crate::stages::operator::{OneGroup, Reducer, whole_captures};
 use crate::stages::source::{CaptureInPlace, Credit, Feed, InPlace, PartRead, Reduced};
 use crate::stages::stage::StageError;
-use crate::store::parquet::ROW_GROUP_ROWS;
 
 /// The thread of the root: reads a source, or replays a table.
 pub(super) fn read<'a>(
@@ -68,7 +67,7 @@ fn replay(
     let plan = shared.plan;
     let record = plan.tables[root].present[part].as_ref().expect("only finished parts are replayed");
     let table = &plan.stored_tables(root)[0].0;
-    let rows = if in_place.is_some() { ROW_GROUP_ROWS } else { shared.settings.replay_rows };
+    let rows = if in_place.is_some() { usize::MAX } else { shared.settings.replay_rows };
     let reduce = |batches: Vec<RecordBatch>| match in_place {
         Some(in_threads) => batches.iter().flat_map(|batch| in_threads.whole_captures(batch)).collect(),
         None => batches.into_iter().map(Replayed::Rows).collect::<Vec<_>>(),

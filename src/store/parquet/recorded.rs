@@ -48,8 +48,7 @@ struct TableFile {
 
 impl TableFile {
     fn open(path: &Path, record: &FileRecord) -> Result<Self, StoreError> {
-        damage::check_frame(path, record)?;
-        let file = disk::open(path).at("read", path)?;
+        let file = damage::open_sound(path, record)?;
         let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new()).at("read", path)?;
         let groups = if let Some(groups) = &record.groups {
             groups.iter().map(|RowGroup { end, digest }| (*end, Some(*digest))).collect()
