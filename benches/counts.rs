@@ -24,6 +24,9 @@ fn main() -> ExitCode {
     if let [flag, name] = &arguments[..]
         && flag == ALONE
     {
+        // Callgrind counts in one thread: that of the kernel does all work.
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread();
+        alone.build_global().expect("no other pool yet");
         let (_, prepare) = kernels::ALL.iter().find(|(listed, _)| listed == name).expect("a kernel of the list");
         let mut kernel = prepare();
         kernel(); // Tables that are made once, and the allocator's first pages, are no part of the kernel.
