@@ -69,6 +69,8 @@ pub fn least_squares(columns: &[Vec<f64>], right: &[f64], sd: &[f64]) -> Option<
 
 /// Inverse of a positive definite matrix of unit diagonal, row by row, by elimination; what the matrix held is lost.
 /// `None` if it is singular to rounding.
+#[allow(clippy::inline_always, reason = "where its size is known, its loops need not be loops")]
+#[inline(always)]
 pub(super) fn invert(matrix: &mut [f64], inverse: &mut [f64]) -> Option<()> {
     /// A pivot is the share of its column that the columns before it leave unexplained; less than this is rounding.
     const SINGULAR: f64 = 1e-12;

@@ -30,6 +30,9 @@ impl Spread {
     #[must_use]
     pub fn of(shots: &[(Codes<'_>, i64)], mean: &Mean, dark: &Dark) -> Self {
         let count = mean.mean.len();
+        if shots.len() < 2 {
+            return Self { variances: vec![f64::NAN; count], differences: BlockMeans::new(count, 0) };
+        }
         let (mut variances, mut differences) = (vec![0.0; count], BlockMeans::new(count, shots.len()));
         // Where shots begin and end.
         let mut ends: Vec<(usize, i32)> = Vec::with_capacity(2 * shots.len() + 1);

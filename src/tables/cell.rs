@@ -224,7 +224,11 @@ impl From<Vec<f32>> for Samples {
 
 impl FromIterator<f64> for Samples {
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
-        values.into_iter().map(|value| value as f32).collect::<Vec<f32>>().into()
+        let values = values.into_iter();
+        // Not by `collect`: values that come from a vector would stay in its room, which is twice as large.
+        let mut samples = Vec::with_capacity(values.size_hint().0);
+        samples.extend(values.map(|value| value as f32));
+        samples.into()
     }
 }
 

@@ -72,6 +72,9 @@ pub struct Judges<'a> {
 impl Judges<'_> {
     /// Slow noise, and each shot less mean, offset and slow noise; `None` where noise is fast alone.
     pub fn slow(&self) -> Option<Slow> {
+        if self.shots.len() < 2 {
+            return None; // the mean is the shot
+        }
         let is_dark = self.darkness();
         let noise = SlowNoise::of(&self.spread.differences, &is_dark)?;
         let mut dark = dark_runs(&is_dark);
@@ -217,8 +220,11 @@ impl Noise {
     pub fn mean_sd_v(&self, mean_v: &[f64], records: f64) -> Vec<f64> {
         let of_model = |model: &NoiseModel| (model.values[0], model.values[LEVEL]);
         let (constant, of_level) = self.model.as_ref().map_or((self.sd_v * self.sd_v, 0.0), of_model);
-        let sd_v = |v: &f64| ((constant + of_level * v.abs()) / records + self.rounding_v2).sqrt();
-        mean_v.iter().map(sd_v).collect()
+        let sd_v = |v: f64| ((constant + of_level * v.abs()) / records + self.rounding_v2).sqrt();
+        if of_level == 0.0 {
+            return vec![sd_v(0.0); mean_v.len()];
+        }
+        mean_v.iter().map(|v| sd_v(*v)).collect()
     }
 
     /// Standard deviation of a sample without light in one of so many `records` whose mean has the noise of all kinds.
