@@ -68,6 +68,11 @@ impl<'a> Unit<'a> {
         Self { jobs, is_whole: begins && ends }
     }
 
+    /// Whether its rows need not be looked through for captures.
+    fn is_one_capture(&self) -> bool {
+        self.jobs.iter().all(|(index, _)| *index == self.jobs[0].0)
+    }
+
     /// Reads the items, and reduces their captures if these are whole; `keeps` says whether their rows are wanted
     /// nevertheless. Captures whose files do not number exposures have `shots` so far.
     pub fn read(
@@ -88,7 +93,14 @@ impl<'a> Unit<'a> {
         let Some(in_place) = in_place.filter(|_| self.is_whole) else { return Read { done, reduced: None } };
         let mut rows = Records::default();
         done.iter_mut().for_each(|done| rows.append(std::mem::take(&mut done.rows)));
-        let reduced = Some(in_place.reduce(&rows.to_batch()));
+        let batch = rows.to_batch();
+        let reduced = Some(if self.is_one_capture() && !rows.is_empty() {
+            let mut capture = in_place.one();
+            capture.take(&batch);
+            capture.finish()
+        } else {
+            in_place.reduce(&batch)
+        });
         if keeps {
             done[0].rows = rows.without_codes();
         }
