@@ -52,8 +52,8 @@ fn of_covariances(covariances: &[f64]) -> Noise {
 /// Means of the products of all samples, less the `middle` of their stretch, with those so many lags later.
 fn lagged_means(stretches: &[&Vec<f64>], lags: usize, middle: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let mut products = vec![0.0; lags];
-    let mut room = Vec::new();
-    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, stretch, middle(stretch), &mut room));
+    let mut rooms = <[Vec<f64>; LANES]>::default();
+    stretches.iter().for_each(|stretch| add_lagged_products(&mut products, stretch, middle(stretch), &mut rooms));
     let pairs = |lag: usize| stretches.iter().map(|stretch| stretch.len() - lag).sum::<usize>();
     products.iter().enumerate().map(|(lag, sum)| sum / pairs(lag) as f64).collect()
 }
@@ -155,34 +155,40 @@ pub fn quietest(samples: &[f64], width: usize) -> usize {
 
 /// Samples, and lags, that the processor takes side by side; the order of additions is fixed.
 const LANES: usize = 4;
-const LAGS: usize = 8;
 
-/// Adds to each sum, of lag 0, 1, .., the products of all samples about `middle` with those as much later. `room` is
+/// Adds to each sum, of lag 0, 1, .., the products of all samples about `middle` with those as much later. `rooms` are
 /// used again from stretch to stretch.
-fn add_lagged_products(sums: &mut [f64], stretch: &[f64], middle: f64, room: &mut Vec<f64>) {
-    room.clear();
-    room.extend(stretch.iter().map(|value| value - middle));
-    // What lies beyond the end adds nothing.
-    room.resize(stretch.len() + sums.len() + LAGS + LANES, 0.0);
-    let padded = &room[..];
-    widest(
-        #[inline(always)]
-        || {
-            for (group, sums) in sums.chunks_mut(LAGS).enumerate() {
-                let mut lanes = [[0.0; LANES]; LAGS];
-                for n in (0..stretch.len()).step_by(LANES) {
-                    let early: &[f64; LANES] = padded[n..].first_chunk().expect("padded");
-                    let late: &[f64; LANES + LAGS] = padded[n + group * LAGS..].first_chunk().expect("padded");
-                    for lag in 0..LAGS {
-                        for lane in 0..LANES {
-                            lanes[lag][lane] += early[lane] * late[lane + lag];
-                        }
+fn add_lagged_products(sums: &mut [f64], stretch: &[f64], middle: f64, rooms: &mut [Vec<f64>; LANES]) {
+    let steps = stretch.len().div_ceil(LANES);
+    // Each from one sample later on: from one memory alone, lanes of neighbouring lags would be shuffled into place.
+    for (later, room) in rooms.iter_mut().enumerate() {
+        room.clear();
+        room.extend(stretch[later.min(stretch.len())..].iter().map(|value| value - middle));
+        // What lies beyond the end adds nothing.
+        room.resize(LANES * steps + sums.len() + LANES, 0.0);
+    }
+    let [early, ..] = rooms.each_ref().map(|room| room.as_chunks::<LANES>().0);
+    let early = &early[..steps];
+    for (group, sums) in sums.chunks_mut(LANES).enumerate() {
+        let [a, b, c, d] = rooms.each_ref().map(|room| &room.as_chunks::<LANES>().0[group..group + steps]);
+        let mut lanes = [[0.0; LANES]; LANES];
+        widest(
+            #[inline(always)]
+            || {
+                let mut own = lanes;
+                for ((((early, a), b), c), d) in early.iter().zip(a).zip(b).zip(c).zip(d) {
+                    for lane in 0..LANES {
+                        own[0][lane] += early[lane] * a[lane];
+                        own[1][lane] += early[lane] * b[lane];
+                        own[2][lane] += early[lane] * c[lane];
+                        own[3][lane] += early[lane] * d[lane];
                     }
                 }
-                sums.iter_mut().zip(lanes).for_each(|(sum, lanes)| *sum += lanes.iter().sum::<f64>());
-            }
-        },
-    );
+                lanes = own;
+            },
+        );
+        sums.iter_mut().zip(lanes).for_each(|(sum, lanes)| *sum += lanes.iter().sum::<f64>());
+    }
 }
 
 #[cfg(test)]
