@@ -34,8 +34,8 @@ const ITEMS_TOGETHER: usize = 512;
 const LONG_BYTES: u64 = 64 << 20;
 /// Pieces of these at most: one is read, hashed and added up while it is in the second cache.
 const PIECE_BYTES: usize = 2 << 20;
-/// Rows of an index that are stored together.
-pub const INDEX_ROWS: usize = 1 << 13;
+/// Rows of an index that are stored together: in all forms that they take on their way, some megabytes.
+pub const INDEX_ROWS: usize = 1 << 11;
 
 /// What came of a job.
 #[derive(Default)]
