@@ -14,8 +14,8 @@ use commands::output::{Closed, note, print};
 use mimalloc::MiMalloc;
 
 /// Blocks of a record's size come and go by the thousand: the system's allocator gives each back to the kernel, which
-/// clears its pages for the next. It is built to ask for no huge pages, which double what small runs take. Its version 2
-/// keeps what is free for a tenth of a second, version 3 for a second: peaks are a sixth to a quarter lower.
+/// clears its pages for the next. It is built to ask for no huge pages, which double what small runs take. Version 2
+/// keeps what is free for a tenth of a second, version 3 for a second: peaks are lower by a sixth to a quarter.
 #[global_allocator]
 static ALLOCATOR: MiMalloc = MiMalloc;
 

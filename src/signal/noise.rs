@@ -287,6 +287,21 @@ mod tests {
         assert!(quietest(&samples, 20) > 60 && quietest(&samples, 100) == 0);
     }
 
+    /// Lags side by side, on lengths that are no multiple of what is taken at once.
+    #[test]
+    fn products_are_those_of_all_pairs() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        for (len, lags) in (1..40).flat_map(|len| (1..=len).map(move |lags| (len, lags))) {
+            let values: Vec<f64> = (0..len).map(|_| StandardNormal.sample(&mut rng)).collect();
+            let mut sums = vec![0.5; lags];
+            add_lagged_products(&mut sums, &values, 0.25, &mut Default::default());
+            for (lag, sum) in sums.iter().enumerate() {
+                let products = values.iter().zip(&values[lag..]).map(|(early, late)| (early - 0.25) * (late - 0.25));
+                assert!((sum - 0.5 - products.sum::<f64>()).abs() < 1e-12, "{len} samples, lag {lag}");
+            }
+        }
+    }
+
     #[test]
     fn nothing_is_said_of_nothing() {
         assert_eq!(estimate(&[], 4), Noise { sd: 0.0, acf: vec![] });

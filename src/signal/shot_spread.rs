@@ -282,6 +282,21 @@ mod tests {
         }
     }
 
+    #[test]
+    fn one_shot_has_no_spread() {
+        let shots = pulses(2.5, 0.1, &mut ChaCha8Rng::seed_from_u64(4));
+        let views: Vec<(Codes<'_>, i64)> = shots.iter().map(|(bytes, at)| (Codes::I16(bytes), *at)).take(2).collect();
+        for count in [1, 2] {
+            let mut sums = crate::average::PhaseSums::new(200);
+            views[..count].iter().for_each(|(codes, position)| sums.add(*codes, *position));
+            let mean = sums.finish().unwrap();
+            let spread = Spread::of(&views[..count], &mean, &Dark::at_start(40));
+            let known = spread.variances.iter().filter(|variance| variance.is_finite()).count();
+            assert_eq!((known > 0, spread.usual_variance() > 0.0), (count > 1, count > 1));
+            assert_eq!(spread.variances.len(), mean.mean.len());
+        }
+    }
+
     /// Jitter is seen in full, and noise at its size; a pulse that is too fast for its sampling adds next to nothing to
     /// either, where shots differ from the mean by many times their noise.
     #[test]

@@ -349,3 +349,14 @@ impl Cell for Vec<Name> {
         array.value(i).as_string::<i32>().iter().flatten().map(Name::from).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_take_the_room_of_f32() {
+        let samples: Samples = vec![0.5_f64; 1000].into_iter().collect();
+        assert_eq!((samples.len(), samples.0.inner().capacity()), (1000, 4000));
+    }
+}
