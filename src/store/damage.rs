@@ -119,13 +119,11 @@ pub fn open_sound(path: &Path, record: &FileRecord) -> Result<File, StoreError> 
         Ok(file) => file,
         Err(place) => return damaged(place),
     };
-    let mut footer = vec![0; (record.bytes - record.pages_end) as usize];
+    let no_footer = || damaged(Place::Footer { byte: record.pages_end });
+    let Some(length) = record.bytes.checked_sub(record.pages_end) else { return no_footer() };
+    let mut footer = vec![0; length as usize];
     file.read_exact_at(&mut footer, record.pages_end).at("read", path)?;
-    if record.footer == Digest::of_bytes(&footer) {
-        Ok(file)
-    } else {
-        damaged(Place::Footer { byte: record.pages_end })
-    }
+    if record.footer == Digest::of_bytes(&footer) { Ok(file) } else { no_footer() }
 }
 
 /// Opens a file that is there with its length, or says which of these it lacks.

@@ -129,6 +129,9 @@ fn what_differs_from_its_digest_is_not_decoded() {
     }
     std::fs::write(&path, &sound[..sound.len() - 1]).unwrap();
     assert!(matches!(read_back(&path, &record), Err(StoreError::Damaged(_))));
+    std::fs::write(&path, &sound).unwrap();
+    let beyond = FileRecord { pages_end: record.bytes + 1, ..record };
+    assert!(matches!(read_back(&path, &beyond), Err(StoreError::Damaged(_))), "a footer that begins behind the end");
 }
 
 #[test]
